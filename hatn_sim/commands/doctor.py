@@ -1,0 +1,136 @@
+"""Say what is installed, what is missing and how to get it. Exit code 1 if the core is incomplete."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+from dataclasses import asdict, dataclass
+from importlib import metadata, util
+
+EXAMPLES = """example:
+  hatn-sim doctor
+"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing looked at."""
+
+    name: str
+    ok: bool
+    needed: bool  # the core does not work without it
+    found: str
+    remedy: str
+
+
+_CORE = ("libsumo", "numpy", "scipy", "torch", "pyarrow", "safetensors", "matplotlib", "rich", "pillow")
+_EXTRAS = {
+    "eclipse-sumo": ("gui", "sumo-gui to watch, netconvert to build nets"),
+    "gymnasium": ("rl", "environments for planners"),
+    "stable-baselines3": ("rl", "reinforcement learning"),
+    "rerun-sdk": ("viz", "the rerun viewer"),
+    "pytest": ("test", "the tests"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hatn-sim doctor`."""
+    parser.add_argument("--json", action="store_true", help="print JSON instead of lines")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Look and tell."""
+    checks = look()
+    if arguments.json:
+        print(json.dumps([asdict(check) for check in checks], indent=2))
+    else:
+        for check in checks:
+            mark = "ok  " if check.ok else ("MISS" if check.needed else "-   ")
+            line = f"{mark} {check.name:<18} {check.found}"
+            print(line if check.ok or not check.remedy else f"{line}; {check.remedy}")
+    return 0 if all(check.ok for check in checks if check.needed) else 1
+
+
+def look() -> list[Check]:
+    """Everything checked, in reading order."""
+    python = ".".join(map(str, sys.version_info[:3]))
+    supported = (3, 11) <= sys.version_info[:2] <= (3, 13)
+    checks = [Check("python", supported, True, python, "3.11 to 3.13 are supported")]
+    checks += [_package(name, "pip install hatn-sim", True) for name in _CORE]
+    checks += [_starts_sumo(), _resources(), _weights()]
+    checks += [
+        _package(name, f"pip install 'hatn-sim[{extra}]' for {purpose}", False)
+        for name, (extra, purpose) in _EXTRAS.items()
+    ]
+    checks += [_display(), _branching()]
+    return checks
+
+
+def _package(name: str, remedy: str, needed: bool) -> Check:
+    try:
+        return Check(name, True, needed, metadata.version(name), "")
+    except metadata.PackageNotFoundError:
+        return Check(name, False, needed, "not installed", remedy)
+
+
+def _starts_sumo() -> Check:
+    from hatn_sim.errors import HatnSimError
+
+    if util.find_spec("libsumo") is None:
+        return Check("SUMO worker", False, True, "no libsumo", "pip install libsumo")
+    from hatn_sim.config import load_scenario
+    from hatn_sim.simulators.sumo import SumoSimulator
+
+    try:
+        with SumoSimulator(load_scenario("intersection5")) as simulator:
+            simulator.reset(1)
+            simulator.step()
+    except HatnSimError as error:
+        return Check("SUMO worker", False, True, str(error), "pip install --force-reinstall libsumo")
+    return Check("SUMO worker", True, True, "starts, steps and ends", "")
+
+
+def _resources() -> Check:
+    from hatn_sim.errors import HatnSimError
+    from hatn_sim.resources import find_agents, find_scenarios
+
+    try:
+        scenes, agents = find_scenarios(), find_agents()
+    except HatnSimError as error:
+        return Check("scenes, agents", False, True, str(error), "install hatn-sim again")
+    found = f"scenes {', '.join(sorted(scenes))}; agents {', '.join(sorted(agents))}"
+    return Check("scenes, agents", bool(scenes), True, found, "install hatn-sim again")
+
+
+def _weights() -> Check:
+    from hatn_sim.errors import HatnSimError
+    from hatn_sim.resources import weights_dir
+
+    if util.find_spec("torch") is None:
+        return Check("weights", False, True, "no torch to read them", "pip install hatn-sim")
+    from hatn_sim.hatn.weights_io import load_weights
+
+    try:
+        weights = load_weights(weights_dir() / "hatn.safetensors")
+    except HatnSimError as error:
+        return Check("weights", False, True, str(error), "install hatn-sim again")
+    return Check("weights", True, True, f"hatn, sha256 {weights.sha256[:12]}", "")
+
+
+def _display() -> Check:
+    there = sys.platform != "linux" or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+    gui = shutil.which("sumo-gui")
+    found = ("a display" if there else "no DISPLAY") + (", sumo-gui" if gui else ", no sumo-gui")
+    remedy = "sumo-gui needs a display (xvfb-run gives one) and pip install 'hatn-sim[gui]'"
+    return Check("display", there and gui is not None, False, found, remedy)
+
+
+def _branching() -> Check:
+    there = hasattr(os, "fork")
+    found = "os.fork" if there else f"no os.fork on {sys.platform}"
+    return Check("branching", there, False, found, "exact counterfactuals need Linux or macOS")

@@ -1,0 +1,59 @@
+"""A progress bar with the rate against real time, on stderr."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Any, Self
+
+
+class Progress:
+    """Shows how far a run is; silent with `quiet`, plain lines where stderr is no terminal."""
+
+    def __init__(self, name: str, total: int, dt_s: float, quiet: bool) -> None:
+        self._name, self._total, self._dt_s, self._quiet = name, total, dt_s, quiet
+        self._started = self._shown = time.monotonic()
+        self._bar: Any = None
+        self._task: Any = None
+
+    def __enter__(self) -> Self:
+        if not self._quiet and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            self._bar = Bar(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed:.0f} of {task.total:.0f} steps"),
+                TextColumn("{task.fields[rate]}"),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self._bar.start()
+            self._task = self._bar.add_task(self._name, total=self._total, rate="")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, done: int, vehicles: int) -> None:
+        """Called at every step; shows itself a few times a second."""
+        now = time.monotonic()
+        if self._quiet or (now - self._shown < 0.2 and done < self._total):
+            return
+        rate = f"{vehicles} vehicles, {done * self._dt_s / max(now - self._started, 1e-3):.1f}x real time"
+        if self._bar is not None:
+            self._shown = now
+            self._bar.update(self._task, completed=done, rate=rate)
+        elif now - self._shown > 10.0 or done == self._total:
+            self._shown = now
+            print(f"{self._name}: {done} of {self._total} steps, {rate}", file=sys.stderr)

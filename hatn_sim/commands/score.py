@@ -1,0 +1,43 @@
+"""Print the scores of one or more runs, read from their logs.
+
+Several runs of a scene are pooled; from five runs on, the intervals are over runs instead of over
+the vehicles of one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+EXAMPLES = """examples:
+  hatn-sim score runs/intersection5-1
+  hatn-sim score runs/intersection5-* --json
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hatn-sim score`."""
+    parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="folders of runs")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Score and print."""
+    import sys
+
+    from hatn_sim.log import read_run
+    from hatn_sim.report.table import score_table, scores_json
+    from hatn_sim.score.prediction import clustered_over, score_runs
+
+    runs = [read_run(path) for path in arguments.runs]
+    for path, logged in zip(arguments.runs, runs, strict=True):
+        if not logged.finished:
+            print(f"hatn-sim: {path} is of an unfinished run", file=sys.stderr)
+    scores = score_runs(runs)
+    if arguments.json:
+        print(scores_json(scores))
+        return 0
+    from rich.console import Console
+
+    Console(highlight=False).print(score_table(scores, clustered_over(runs)))
+    return 0

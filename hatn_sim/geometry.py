@@ -1,0 +1,117 @@
+"""Polylines as arrays: arc length, Frenet coordinates, contacts. Pure functions, no state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hatn_sim.datatypes import FloatArray, IntArray
+
+
+def wrap_angle(angle_rad: FloatArray) -> FloatArray:
+    """Angles wrapped to [-pi, pi)."""
+    return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def arc_length_m(xy_m: FloatArray) -> FloatArray:
+    """Arc length [P] of a polyline [P, 2] at its vertices, beginning with 0."""
+    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy_m, axis=0), axis=1))))
+
+
+def resample(xy_m: FloatArray, step_m: float) -> FloatArray:
+    """A polyline [P, 2] at equal steps of arc length; the last step is drawn out to be whole."""
+    s_m = arc_length_m(xy_m)
+    keep = np.concatenate(([True], np.diff(s_m) > 1e-9))
+    s_m, xy_m = s_m[keep], xy_m[keep]
+    count = max(2, math.ceil(s_m[-1] / step_m - 1e-9) + 1)
+    at_m = np.arange(count) * step_m
+    out = np.stack([np.interp(at_m, s_m, xy_m[:, axis]) for axis in (0, 1)], axis=1)
+    if at_m[-1] > s_m[-1] and len(s_m) > 1:
+        direction = (xy_m[-1] - xy_m[-2]) / (s_m[-1] - s_m[-2])
+        out[-1] = xy_m[-1] + direction * (at_m[-1] - s_m[-1])
+    return out
+
+
+def tangent_rad(xy_m: FloatArray) -> FloatArray:
+    """Unwrapped direction [P] of a polyline [P, 2] at its vertices, by central differences."""
+    step = np.empty_like(xy_m)
+    step[1:-1] = xy_m[2:] - xy_m[:-2]
+    step[0], step[-1] = xy_m[1] - xy_m[0], xy_m[-1] - xy_m[-2]
+    return np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+
+
+def nearest_vertex(
+    lines_xy_m: FloatArray, line: IntArray, xy_m: FloatArray, index: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """The nearest of the vertices `index` [Q, W] of lines `line` [Q] to the points `xy_m` [Q, 2].
+
+    `lines_xy_m` [L, P, 2] is padded. Returns the vertex [Q] and its squared distance [Q] in m2.
+    """
+    flat = lines_xy_m.reshape(-1, 2)
+    at = flat[line[:, None] * lines_xy_m.shape[1] + index]
+    dx = at[..., 0] - xy_m[:, None, 0]
+    dy = at[..., 1] - xy_m[:, None, 1]
+    squared = dx * dx + dy * dy
+    best = squared.argmin(axis=1)
+    rows = np.arange(len(line))
+    return index[rows, best], squared[rows, best]
+
+
+def project_at(
+    lines_xy_m: FloatArray,
+    count: IntArray,
+    step_m: float,
+    line: IntArray,
+    xy_m: FloatArray,
+    vertex: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Arc length s [Q] and left-positive offset d [Q] of points near the vertex [Q] of their line.
+
+    The foot point lies on one of the two segments that meet at the vertex. Before the first and
+    behind the last vertex of a line, the end segments are drawn out straight.
+    """
+    flat = lines_xy_m.reshape(-1, 2)
+    base = line * lines_xy_m.shape[1]
+    last = count[line] - 2
+    best_s = best_d = best_square = np.zeros(len(line))
+    for which, shift in enumerate((-1, 0)):
+        segment = np.clip(vertex + shift, 0, last)
+        start, end = flat[base + segment], flat[base + segment + 1]
+        along = end - start
+        offset = xy_m - start
+        length2 = np.maximum((along * along).sum(axis=1), 1e-12)
+        t = (offset * along).sum(axis=1) / length2
+        t = np.where((segment > 0) & (t < 0), 0.0, t)
+        t = np.where((segment < last) & (t > 1), 1.0, t)
+        away = offset - t[:, None] * along
+        square = (away * away).sum(axis=1)
+        side = along[:, 0] * offset[:, 1] - along[:, 1] * offset[:, 0]
+        s = (segment + t) * step_m
+        d = np.sqrt(square) * np.where(side < 0, -1.0, 1.0)
+        if which == 0:
+            best_s, best_d, best_square = s, d, square
+        else:
+            better = square < best_square
+            best_s, best_d = np.where(better, s, best_s), np.where(better, d, best_d)
+    return best_s, best_d
+
+
+def window(
+    count: IntArray, line: IntArray, low_s_m: FloatArray, vertices: int, step_m: float, stride: int
+) -> IntArray:
+    """Vertex indices [Q, vertices] of each line from `low_s_m` on, `stride` apart, clipped."""
+    first = np.floor(low_s_m / step_m).astype(np.int64)
+    index = first[:, None] + stride * np.arange(vertices)
+    return np.clip(index, 0, count[line][:, None] - 1)
+
+
+def interpolate(values: NDArray[np.float64], line: IntArray, position: FloatArray) -> FloatArray:
+    """Linear interpolation of per-vertex `values` [L, P(, D)] at fractional indices [Q, ...]."""
+    below = np.clip(np.floor(position).astype(np.int64), 0, values.shape[1] - 2)
+    part = np.clip(position - below, 0.0, 1.0)
+    row = line.reshape(line.shape + (1,) * (position.ndim - line.ndim))
+    low, high = values[row, below], values[row, below + 1]
+    part = part.reshape(part.shape + (1,) * (low.ndim - part.ndim))
+    return low + part * (high - low)

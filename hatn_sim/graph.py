@@ -1,0 +1,286 @@
+"""Perception -> semantic graphs of all egos at once (METHOD section 1, the paper's section 4.1).
+
+Boundaries are bumpers: the front of a DIA is the rear bumper of the vehicle ahead, its rear is the
+front bumper of the vehicle behind, so that its length is the gap a driver sees, whatever the
+lengths of the vehicles. Distances to a conflict count positive upstream.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hatn_sim.datatypes import (
+    HISTORY_FRAMES,
+    MAX_NODES,
+    BoolArray,
+    FloatArray,
+    Front,
+    Gate,
+    IntArray,
+    SemanticGraphs,
+)
+from hatn_sim.perception import Motion, Perception, motion_along
+from hatn_sim.road import LINE_STEP_M, MAX_CONFLICTS, Road
+
+INTERACTION_M: Final = 60.0
+"""Conflicts nearer than this to both vehicles are active."""
+PASSED_M: Final = 2.0
+"""A conflict stays active until this far behind."""
+GROUP_M: Final = 4.0
+"""Conflicts this near to the focus, along the ego's line, form its group."""
+FREE_M: Final = 50.0
+"""Where there is no conflict, boundaries are measured to a point this far ahead."""
+AHEAD_AT_M: Final = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0)
+"""Where the line ahead of a node's rear vehicle is sampled."""
+
+CONTEXT: Final = (
+    *(f"speed_limit_mps at {at:g} m" for at in AHEAD_AT_M),
+    *(f"curvature_per_m at {at:g} m" for at in AHEAD_AT_M),
+    "waited_s of the rear vehicle",
+    "waited_s of the ego",
+    "length_m of the rear vehicle",
+    "front is a vehicle",
+    "front is a stop line or closed signal",
+    "front is the conflict",
+    "front is free",
+    "gate ahead of the rear vehicle before the conflict",
+    "gate ahead of the ego before the conflict",
+    "conflict is a merge",
+    "node is of the focus group",
+    "acceleration_mps2 of the rear vehicle",
+    "lateral_m of the rear vehicle",
+    "distance_m of the rear vehicle to its leader, up to FREE_M",
+    "speed_mps of the leader of the rear vehicle",
+    "leader there",
+)
+"""The last axis of `SemanticGraphs.context`: what holds now, beyond the paper's seven features."""
+CONTEXT_SIZE: Final = len(CONTEXT)
+
+
+def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
+    """Semantic graphs of every vehicle that has a reference line."""
+    ego = np.flatnonzero(seen.lines.line >= 0)
+    nodes = _interacting(road, seen, ego)
+    rear, ego_m, rear_m, focus, kind, node_mask, conflict_s = nodes
+    has_conflict = node_mask[:, 1:].any(axis=1)
+    front, front_type, front_s = _fronts(road, seen, rear, rear_m, node_mask, has_conflict)
+    x, history = _features(road, seen, rear, rear_m, front, front_type, front_s, node_mask)
+    context = _context(road, seen, ego, rear, (ego_m, rear_m), front_type, focus, kind, node_mask)
+    point_xy = road.locate(
+        np.repeat(seen.lines.line[ego], MAX_NODES), conflict_s.ravel(), np.zeros(conflict_s.size)
+    ).reshape(*conflict_s.shape, 2)
+    return SemanticGraphs(
+        ids=seen.scene.ids,
+        ego=ego,
+        rear=rear,
+        front=front,
+        front_type=front_type,
+        x=x,
+        x_rel=np.where(node_mask[:, :, None, None], x - x[:, :1], 0.0),
+        context=context,
+        node_mask=node_mask,
+        focus_mask=focus,
+        history_mask=history,
+        has_conflict=has_conflict,
+        ego_to_conflict_m=ego_m,
+        rear_to_conflict_m=rear_m,
+        conflict_xy_m=np.where(node_mask[:, :, None], point_xy, 0.0),
+        conflict_type=kind,
+    )
+
+
+def _interacting(
+    road: Road, seen: Perception, ego: IntArray
+) -> tuple[IntArray, FloatArray, FloatArray, BoolArray, IntArray, BoolArray, FloatArray]:
+    """The nodes [E, M] of every ego: vehicle, distances of both to the conflict, focus, type, mask.
+
+    Node 0 carries the ego's own nearest conflict (the focus), or a point `FREE_M` ahead.
+    """
+    scene, line, s = seen.scene, seen.lines.line, seen.lines.s_m
+    shape = (len(ego), MAX_NODES)
+    rear = np.full(shape, -1, dtype=np.int64)
+    ego_m, rear_m, conflict_s = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    focus, mask = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    kind = np.zeros(shape, dtype=np.int64)
+    rear[:, 0], mask[:, 0], focus[:, 0] = ego, True, True
+    ego_m[:, 0] = rear_m[:, 0] = FREE_M
+    row_of = np.full(len(scene.ids), -1, dtype=np.int64)
+    row_of[ego] = np.arange(len(ego))
+    if len(ego) > 1:
+        tree = cKDTree(scene.xy_m[ego])
+        pairs = tree.query_pairs(2 * INTERACTION_M, output_type="ndarray")
+        one = ego[np.concatenate((pairs[:, 0], pairs[:, 1]))]
+        other = ego[np.concatenate((pairs[:, 1], pairs[:, 0]))]
+        table = road.conflict_table(line[one], line[other])
+        to_one = table[:, :, 1] - s[one, None]
+        to_other = table[:, :, 4] - s[other, None]
+        active = (to_one > -PASSED_M) & (to_other > -PASSED_M)
+        active &= (to_one <= INTERACTION_M) & (to_other <= INTERACTION_M)
+        some = np.flatnonzero(active.any(axis=1))
+        which = np.where(active[some], to_one[some], np.inf).argmin(axis=1)
+        flat = some * MAX_CONFLICTS + which
+        one, other = row_of[one[some]], other[some]
+        to_one, to_other = to_one.ravel()[flat], to_other.ravel()[flat]
+        key = np.maximum(to_one, to_other)
+        id_rank = np.argsort(np.argsort(np.array(scene.ids)))[other]
+        order = np.lexsort((id_rank, key, one))
+        one, other, flat = one[order], other[order], flat[order]
+        to_one, to_other = to_one[order], to_other[order]
+        begins = np.concatenate(([True], one[1:] != one[:-1])) if len(one) else np.zeros(0, bool)
+        rank = np.arange(len(one)) - np.maximum.accumulate(np.where(begins, np.arange(len(one)), 0))
+        keep = rank < MAX_NODES - 1
+        e, m = one[keep], rank[keep] + 1
+        rear[e, m], ego_m[e, m], rear_m[e, m] = other[keep], to_one[keep], to_other[keep]
+        mask[e, m] = True
+        kind[e, m] = table[:, :, 6].ravel()[flat[keep]].astype(np.int64)
+        nearest = np.where(mask[:, 1:], ego_m[:, 1:], np.inf).min(axis=1)
+        focus[:, 1:] = mask[:, 1:] & (ego_m[:, 1:] - nearest[:, None] <= GROUP_M)
+        has = np.isfinite(nearest)
+        ego_m[has, 0] = rear_m[has, 0] = nearest[has]
+        first = np.where(mask[:, 1:], ego_m[:, 1:], np.inf).argmin(axis=1) + 1
+        kind[has, 0] = kind[has, first[has]]
+    conflict_s[:] = s[ego][:, None] + ego_m
+    return rear, ego_m, rear_m, focus, kind, mask, conflict_s
+
+
+def _next_gate_m(
+    road: Road, seen: Perception, types: tuple[Gate, ...]
+) -> FloatArray:
+    """Distance [N] of each vehicle's front bumper to the next stop or give-way line ahead.
+
+    A signal counts where it is closed. inf where there is none.
+    """
+    line = np.maximum(seen.lines.line, 0)
+    if not len(road.count):
+        return np.full(len(line), np.inf)
+    kind, signal = road.gate_type[line], road.gate_signal[line]
+    closed = seen.scene.signal_closed
+    shut = np.concatenate((closed, [False]))[signal] if len(closed) else np.zeros(signal.shape, bool)
+    counts = np.isin(kind, types) | ((kind == Gate.SIGNAL) & shut & (signal >= 0))
+    front = seen.lines.s_m + 0.5 * seen.scene.size_m[:, 0]
+    # A vehicle that stands with its bumper a little over the line is still behind it.
+    to_gate = road.gate_s_m[line] - front[:, None]
+    nearest = np.where(counts & (to_gate > -0.5), to_gate, np.inf).min(axis=1)
+    return np.where(seen.lines.line >= 0, nearest, np.inf)
+
+
+def _fronts(
+    road: Road,
+    seen: Perception,
+    rear: IntArray,
+    rear_m: FloatArray,
+    node_mask: BoolArray,
+    has_conflict: BoolArray,
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Front boundary of every node: vehicle or -1, Front, arc length on the rear's line [E, M]."""
+    at = np.maximum(rear, 0)
+    s = seen.lines.s_m[at]
+    conflict_s = s + rear_m
+    half_m = 0.5 * seen.scene.size_m[at, 0]
+    leader = seen.leader[at]
+    leader_s = np.where(leader >= 0, seen.leader_s_m[at], np.inf)
+    lead_half = np.where(leader >= 0, 0.5 * seen.scene.size_m[np.maximum(leader, 0), 0], 0.0)
+    vehicle_s = np.where(leader_s <= conflict_s, leader_s - lead_half, np.inf)
+    gate_m = _next_gate_m(road, seen, (Gate.STOP_LINE,))[at]
+    stop_s = s + half_m + gate_m
+    stop_s = np.where(stop_s <= conflict_s, stop_s, np.inf)
+    front_s = np.minimum(np.minimum(vehicle_s, stop_s), conflict_s)
+    free = ~has_conflict[:, None] & (np.arange(rear.shape[1]) == 0)
+    kind = np.where(free, Front.FREE, Front.CONFLICT)
+    kind = np.where(stop_s <= front_s, Front.STOP, kind)
+    kind = np.where(vehicle_s <= front_s, Front.VEHICLE, kind)
+    front = np.where((kind == Front.VEHICLE) & node_mask, leader, -1)
+    return front, kind, front_s
+
+
+def _features(
+    road: Road,
+    seen: Perception,
+    rear: IntArray,
+    rear_m: FloatArray,
+    front: IntArray,
+    front_type: IntArray,
+    front_s: FloatArray,
+    node_mask: BoolArray,
+) -> tuple[FloatArray, BoolArray]:
+    """The paper's seven features over the history [E, M, T, 7], and where both ends were seen."""
+    ahead = _leader_motion(road, seen)
+    at = np.maximum(rear, 0)
+    half_m = 0.5 * seen.scene.size_m[:, 0]
+    own, valid = seen.own, seen.tracks.valid[:, -HISTORY_FRAMES:]
+    conflict_s = (seen.lines.s_m[at] + rear_m)[:, :, None]
+    x = np.zeros((*rear.shape, HISTORY_FRAMES, 7))
+    is_vehicle = (front >= 0)[:, :, None]
+    lead_half = half_m[np.maximum(front, 0)][:, :, None]
+    moving_front = conflict_s - (ahead.s_m[at] - lead_half)
+    x[..., 0] = np.where(is_vehicle, moving_front, conflict_s - front_s[:, :, None])
+    x[..., 1] = np.where(is_vehicle, ahead.speed_mps[at], 0.0)
+    x[..., 2] = np.where(is_vehicle, ahead.phi_rad[at], 0.0)
+    x[..., 3] = conflict_s - (own.s_m[at] + half_m[at][:, :, None])
+    x[..., 4] = own.speed_mps[at]
+    x[..., 5] = own.phi_rad[at]
+    x[..., 6] = x[..., 3] - x[..., 0]
+    x[~node_mask] = 0.0
+    history = valid[at] & (~is_vehicle | valid[np.maximum(front, 0)])
+    return x, history & node_mask[:, :, None]
+
+
+def _leader_motion(road: Road, seen: Perception) -> Motion:
+    """The history of every vehicle's leader on the follower's line [N, T]."""
+    there = seen.leader >= 0
+    line = np.where(there, seen.lines.line, -1)
+    s_now = np.where(there, seen.leader_s_m, 0.0)
+    return motion_along(road, seen.tracks, line, s_now, np.maximum(seen.leader, 0))
+
+
+def _context(
+    road: Road,
+    seen: Perception,
+    ego: IntArray,
+    rear: IntArray,
+    to_conflict_m: tuple[FloatArray, FloatArray],
+    front_type: IntArray,
+    focus: BoolArray,
+    kind: IntArray,
+    node_mask: BoolArray,
+) -> FloatArray:
+    """What holds now [E, M, CONTEXT_SIZE], see `CONTEXT`."""
+    scene, lines = seen.scene, seen.lines
+    at = np.maximum(rear, 0)
+    safe = np.maximum(lines.line, 0)
+    profile = np.zeros((len(scene.ids), 2 * len(AHEAD_AT_M)))
+    if len(road.count):
+        index = ((lines.s_m[:, None] + np.array(AHEAD_AT_M)) / LINE_STEP_M).astype(np.int64)
+        index = np.clip(index, 0, road.count[safe][:, None] - 1)
+        profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[safe[:, None], index]
+        profile[:, len(AHEAD_AT_M) :] = road.curvature_per_m[safe[:, None], index]
+    gate_m = _next_gate_m(road, seen, (Gate.STOP_LINE, Gate.GIVE_WAY_LINE))
+    to_gate = gate_m + 0.5 * scene.size_m[:, 0]
+    acceleration = (seen.own.speed_mps[:, -1] - seen.own.speed_mps[:, -3]) / 0.2
+    has_leader = seen.leader >= 0
+    lead = np.maximum(seen.leader, 0)
+    half_m = 0.5 * scene.size_m[:, 0]
+    gap = np.where(has_leader, seen.leader_s_m - lines.s_m - half_m - half_m[lead], FREE_M)
+    gap = np.clip(gap, 0.0, FREE_M)
+    lead_speed = np.where(has_leader, scene.speed_mps[lead], 0.0)
+    ego_at = np.repeat(ego[:, None], rear.shape[1], axis=1)
+    columns = [
+        *np.moveaxis(profile[at], -1, 0),
+        seen.waited_s[at],
+        seen.waited_s[ego_at],
+        scene.size_m[at, 0],
+        *((front_type == value).astype(np.float64) for value in Front),
+        (to_gate[at] <= to_conflict_m[1]).astype(np.float64),
+        (to_gate[ego_at] <= to_conflict_m[0]).astype(np.float64),
+        kind.astype(np.float64),
+        focus.astype(np.float64),
+        acceleration[at],
+        lines.d_m[at],
+        gap[at],
+        lead_speed[at],
+        has_leader[at].astype(np.float64),
+    ]
+    return np.where(node_mask[:, :, None], np.stack(columns, axis=-1), 0.0)

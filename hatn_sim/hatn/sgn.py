@@ -1,0 +1,157 @@
+"""The semantic graph network (the paper's section 4.2): which slot, and how far in three seconds.
+
+Two recurrent encoders read the absolute and the relative history of every node, attention over
+ordered pairs relates them, and each node gets an insertion score and a Gaussian mixture over the
+distance that its rear vehicle will travel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from hatn_sim.graph import CONTEXT_SIZE
+
+# Fixed scales, never fitted to a scene: d_f, v_f, phi_f, d_r, v_r, phi_r, l.
+FEATURE_SCALE = (30.0, 10.0, 1.0, 30.0, 10.0, 1.0, 30.0)
+CONTEXT_SCALE = (
+    *(10.0,) * 11,
+    *(0.1,) * 11,
+    *(4.0, 4.0, 10.0),
+    *(1.0,) * 8,
+    *(3.0, 2.0, 30.0, 10.0, 1.0),
+)
+GOAL_SCALE_M = 10.0
+MIN_GOAL_STD_M = 0.1
+HORIZON_S = 3.0
+
+
+@dataclass(frozen=True)
+class SgnSettings:
+    """The shape of the network, stored in the card of its weights."""
+
+    width: int = 64
+    components: int = 3
+    class_weight: float = 2.0  # beta of the paper's loss
+
+
+@dataclass(frozen=True, eq=False)
+class GraphBatch:
+    """Semantic graphs as float32 tensors: what the network reads."""
+
+    x: Tensor  # [E, M, T, 7]
+    context: Tensor  # [E, M, CONTEXT_SIZE]
+    node_mask: Tensor  # [E, M]
+    focus_mask: Tensor  # [E, M]
+    history_mask: Tensor  # [E, M, T]
+
+
+@dataclass(frozen=True, eq=False)
+class Intention:
+    """What the network says of every node."""
+
+    slot_logit: Tensor  # [E, M], -inf outside the focus group
+    goal_log_weight: Tensor  # [E, M, C]
+    goal_mean_m: Tensor  # [E, M, C]
+    goal_std_m: Tensor  # [E, M, C]
+
+    def goal_m(self) -> Tensor:
+        """Mean of the mixture [E, M] in metres."""
+        return (self.goal_log_weight.exp() * self.goal_mean_m).sum(-1)
+
+
+class SemanticGraphNetwork(nn.Module):
+    """f_rec, f_enc, f_att, f_out of the paper's table of layers, on all egos at once."""
+
+    feature_scale: Tensor
+    context_scale: Tensor
+
+    def __init__(self, settings: SgnSettings) -> None:
+        super().__init__()
+        width = settings.width
+        self.settings = settings
+        self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE), persistent=False)
+        self.register_buffer("context_scale", torch.tensor(CONTEXT_SCALE), persistent=False)
+        if len(CONTEXT_SCALE) != CONTEXT_SIZE:
+            raise ValueError("CONTEXT_SCALE must name every entry of graph.CONTEXT")
+        self.absolute_gru = nn.GRU(8, width, batch_first=True)
+        self.relative_gru = nn.GRU(8, width, batch_first=True)
+        self.context_encoder = nn.Sequential(nn.Linear(CONTEXT_SIZE, width), nn.Tanh())
+        self.absolute_encoder = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh())
+        self.relative_encoder = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh())
+        # One dense layer on a concatenated pair is the sum of one on each of the two.
+        self.attend_sender = nn.Linear(width, 1)
+        self.attend_receiver = nn.Linear(width, 1, bias=False)
+        self.combine = nn.Linear(2 * width, width)
+        self.evolve = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh())
+        self.slot_head = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh(), nn.Linear(width, 1))
+        self.goal_head = nn.Sequential(
+            nn.Linear(width, width), nn.Tanh(), nn.Linear(width, 3 * settings.components)
+        )
+
+    def forward(self, batch: GraphBatch) -> Intention:
+        mask = batch.node_mask
+        x = batch.x / self.feature_scale
+        seen = batch.history_mask.unsqueeze(-1).to(x.dtype)
+        absolute = torch.cat((x, seen), -1)[mask]
+        relative = torch.cat((x - x[:, :1], seen), -1)[mask]
+        context = self.context_encoder(batch.context[mask] / self.context_scale)
+        _, h = self.absolute_gru(absolute)
+        _, h_rel = self.relative_gru(relative)
+        h = self.absolute_encoder(torch.cat((h[0], context), -1))
+        h_rel = self.relative_encoder(torch.cat((h_rel[0], context), -1))
+        related = self._attend(h_rel, mask)
+        z = self.evolve(torch.cat((related, self.combine(torch.cat((h, h_rel), -1))), -1))
+        return self._heads(z, x, mask, batch.focus_mask)
+
+    def _attend(self, h_rel: Tensor, mask: Tensor) -> Tensor:
+        padded = h_rel.new_zeros((*mask.shape, h_rel.shape[-1]))
+        padded[mask] = h_rel
+        score = self.attend_receiver(padded) + self.attend_sender(padded).transpose(1, 2)
+        score = nn.functional.leaky_relu(score, 0.2)  # [E, receiver, sender]
+        score = score.masked_fill(~mask.unsqueeze(1), float("-inf"))
+        return (score.softmax(-1) @ padded)[mask]
+
+    def _heads(self, z: Tensor, x: Tensor, mask: Tensor, focus: Tensor) -> Intention:
+        shape = (*mask.shape, self.settings.components)
+        ego_z = z.new_zeros((*mask.shape, z.shape[-1]))
+        ego_z[mask] = z
+        pair = torch.cat((z, ego_z[:, :1].expand_as(ego_z)[mask]), -1)
+        logit = z.new_full(mask.shape, float("-inf"))
+        logit[mask] = self.slot_head(pair)[:, 0]
+        out = z.new_zeros((*shape[:2], 3, shape[2]))
+        out[mask] = self.goal_head(z).view(len(z), 3, -1)
+        # Distance at today's speed is where the goal's means start from.
+        base_m = x[:, :, -1, 4:5] * (10.0 * HORIZON_S)
+        return Intention(
+            slot_logit=logit.masked_fill(~focus, float("-inf")),
+            goal_log_weight=out[:, :, 0].log_softmax(-1),
+            goal_mean_m=nn.functional.softplus((base_m + GOAL_SCALE_M * out[:, :, 1])),
+            goal_std_m=MIN_GOAL_STD_M + GOAL_SCALE_M * nn.functional.softplus(out[:, :, 2] - 2.0),
+        )
+
+
+def sgn_loss(
+    intention: Intention, batch: GraphBatch, goal_m: Tensor, goal_mask: Tensor, slot: Tensor,
+    class_weight: float,
+) -> tuple[Tensor, Tensor]:
+    """Negative log likelihood of all nodes' goals, and cross-entropy of the slot (paper, eq. 11).
+
+    `goal_m`, `goal_mask` [E, M]; `slot` [E] with -1 where there is none to learn from. Returns
+    (regression, class_weight * classification).
+    """
+    # The ego's own goal counts once more: its trajectory hangs on it.
+    weight = goal_mask * 1.0
+    weight[:, 0] = weight[:, 0] * 3.0
+    deviation = (goal_m.unsqueeze(-1) - intention.goal_mean_m) / intention.goal_std_m
+    log_density = intention.goal_log_weight - intention.goal_std_m.log() - 0.5 * deviation**2
+    likelihood = log_density.logsumexp(-1)
+    error = (goal_m - intention.goal_m()).abs() / GOAL_SCALE_M
+    regression = ((error * 4.0 - likelihood) * weight).sum() / weight.sum().clamp(min=1.0)
+    several = (slot >= 0) & (batch.focus_mask.sum(-1) > 1)
+    if not bool(several.any()):
+        return regression, regression.new_zeros(())
+    classes = nn.functional.cross_entropy(intention.slot_logit[several], slot[several])
+    return regression, class_weight * classes

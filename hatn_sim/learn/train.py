@@ -1,0 +1,292 @@
+"""`hatn-sim train`: simulate, cut samples, train the SGN alone, then the EDN on its goals."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+import hatn_sim
+from hatn_sim.datatypes import Frame
+from hatn_sim.errors import HatnSimError, InputError
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
+from hatn_sim.hatn.sgn import GraphBatch, SemanticGraphNetwork, SgnSettings, sgn_loss
+from hatn_sim.hatn.weights_io import save_weights
+from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
+
+WARM_UP_S = 60.0
+"""Traffic builds up for this long before samples are taken."""
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class TrainingPlan:
+    """What `hatn-sim train` was asked to do; goes into the card."""
+
+    scenes: tuple[str, ...]
+    seeds: tuple[int, ...]
+    tune_seeds: tuple[int, ...]
+    duration_s: float
+    risks: tuple[str, ...] = ("courteous",)
+    density: str = "normal"
+    sgn_epochs: int = 20
+    edn_epochs: int = 20
+    batch: int = 256
+    learning_rate: float = 2e-3
+    seed: int = 0
+    workers: int = 2
+
+
+@dataclass(frozen=True)
+class RunOfTraffic:
+    """One simulated run to learn from."""
+
+    scene: str
+    seed: int
+    duration_s: float
+    risk: str
+    density: str
+
+
+def simulate_samples(run: RunOfTraffic) -> Samples:
+    """Simulate a run and cut its samples; a function of its own so that it can be sent away."""
+    from hatn_sim.config import load_scenario
+    from hatn_sim.simulators.sumo import SumoSimulator
+
+    with SumoSimulator(load_scenario(run.scene, run.density, run.risk)) as simulator:
+        first = simulator.reset(run.seed)
+
+        def frames() -> Iterator[Frame]:
+            frame = first
+            for _ in range(round(WARM_UP_S / simulator.dt_s)):
+                frame = simulator.step()
+            yield frame
+            for _ in range(round(run.duration_s / simulator.dt_s)):
+                frame = simulator.step()
+                yield frame
+
+        return samples_of_run(simulator.road, frames())
+
+
+def collect(runs: Sequence[RunOfTraffic], workers: int, say: Say) -> Samples:
+    """Samples of many runs, simulated side by side."""
+    parts: list[Samples] = []
+    started = time.monotonic()
+    with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
+        for done, part in enumerate(pool.map(simulate_samples, runs), start=1):
+            parts.append(part)
+            seconds = time.monotonic() - started
+            say(
+                f"simulated {done} of {len(runs)} runs, {sum(map(len, parts)):,} samples, "
+                f"{seconds:.0f} s"
+            )
+    return concatenate(parts)
+
+
+def train(plan: TrainingPlan, out: Path, command: str, say: Say) -> dict[str, Any]:
+    """Train both networks, write the weights and their card, and return the card."""
+    shared = set(plan.seeds) & set(plan.tune_seeds)
+    if shared:
+        raise InputError(
+            f"--seeds and --tune share {sorted(shared)}: the seeds that stop the training must be "
+            "others than those it learns from"
+        )
+    torch.manual_seed(plan.seed)
+    torch.set_num_threads(max(plan.workers, 1))
+    learn = collect(_runs(plan, plan.seeds), plan.workers, say)
+    tune = collect(_runs(plan, plan.tune_seeds), plan.workers, say)
+    sgn, sgn_figures = train_sgn(learn, tune, plan, say)
+    goals, tune_goals = predicted_goals(sgn, learn), predicted_goals(sgn, tune)
+    edn, edn_figures = train_edn(learn, tune, goals, tune_goals, plan, say)
+    card = {
+        "made_by": f"hatn-sim {hatn_sim.__version__}",
+        "command": command,
+        "scenes": list(plan.scenes),
+        "seeds": list(plan.seeds),
+        "tune_seeds": list(plan.tune_seeds),
+        "duration_s": plan.duration_s,
+        "warm_up_s": WARM_UP_S,
+        "risk_profiles": list(plan.risks),
+        "density": plan.density,
+        "torch_seed": plan.seed,
+        "samples": len(learn),
+        "tune_samples": len(tune),
+        "tune_figures": {**sgn_figures, **edn_figures},
+    }
+    save_weights(out, sgn, edn, card)
+    return card
+
+
+def _runs(plan: TrainingPlan, seeds: Sequence[int]) -> list[RunOfTraffic]:
+    return [
+        RunOfTraffic(scene, seed, plan.duration_s, plan.risks[k % len(plan.risks)], plan.density)
+        for scene in plan.scenes
+        for k, seed in enumerate(seeds)
+    ]
+
+
+def train_sgn(
+    learn: Samples, tune: Samples, plan: TrainingPlan, say: Say
+) -> tuple[SemanticGraphNetwork, dict[str, float]]:
+    """The semantic graph network, alone."""
+    model = SemanticGraphNetwork(SgnSettings())
+
+    def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
+        batch = graph_batch(samples, rows)
+        regression, classes = sgn_loss(
+            model(batch),
+            batch,
+            torch.from_numpy(samples.goal_m[rows]),
+            torch.from_numpy(samples.goal_mask[rows]),
+            torch.from_numpy(samples.slot[rows]),
+            model.settings.class_weight,
+        )
+        return regression + classes
+
+    def figures() -> dict[str, float]:
+        return sgn_figures(model, tune)
+
+    best = _fit(model, learn, loss_of, figures, "goal_error_m", plan.sgn_epochs, plan, "SGN", say)
+    return model, best
+
+
+def sgn_figures(model: SemanticGraphNetwork, samples: Samples) -> dict[str, float]:
+    """Goal error of the ego in metres and slot accuracy on samples."""
+    errors, right, several = [], 0, 0
+    for rows in _batches(len(samples), 2048):
+        batch = graph_batch(samples, rows)
+        with torch.no_grad():
+            intention = model(batch)
+        known = samples.goal_mask[rows, 0]
+        errors.append(np.abs(intention.goal_m()[:, 0].numpy() - samples.goal_m[rows, 0])[known])
+        slot = samples.slot[rows]
+        counts = (slot >= 0) & (samples.focus_mask[rows].sum(axis=1) > 1)
+        chosen = intention.slot_logit.argmax(-1).numpy()
+        right += int((chosen == slot)[counts].sum())
+        several += int(counts.sum())
+    return {
+        "goal_error_m": float(np.concatenate(errors).mean()),
+        "slot_accuracy": right / max(several, 1),
+    }
+
+
+def predicted_goals(model: SemanticGraphNetwork, samples: Samples) -> np.ndarray:
+    """The goal [S] of every ego by the trained SGN: what the EDN is trained on."""
+    model.eval()
+    goals = []
+    for rows in _batches(len(samples), 2048):
+        with torch.no_grad():
+            goals.append(model(graph_batch(samples, rows)).goal_m()[:, 0].numpy())
+    return np.concatenate(goals)
+
+
+def train_edn(
+    learn: Samples,
+    tune: Samples,
+    goals: np.ndarray,
+    tune_goals: np.ndarray,
+    plan: TrainingPlan,
+    say: Say,
+) -> tuple[EncoderDecoderNetwork, dict[str, float]]:
+    """The encoder-decoder network, on the goals that the SGN predicts."""
+    model = EncoderDecoderNetwork(EdnSettings())
+    # Early frames are small in metres but they are what adaptation and safety look at.
+    by_step = torch.from_numpy(
+        np.where(np.arange(learn.future.shape[1]) < 5, 3.0, 1.0).astype(np.float32)
+    )
+
+    def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
+        predicted = model(
+            torch.from_numpy(samples.history[rows]), torch.from_numpy(goals[rows])
+        )
+        mask = torch.from_numpy(samples.future_mask[rows]).float() * by_step
+        return edn_loss(predicted, torch.from_numpy(samples.future[rows]), mask)
+
+    def figures() -> dict[str, float]:
+        errors = []
+        for rows in _batches(len(tune), 2048):
+            with torch.no_grad():
+                out = model(torch.from_numpy(tune.history[rows]), torch.from_numpy(tune_goals[rows]))
+            distance = np.linalg.norm(out.numpy() - tune.future[rows], axis=-1)
+            errors.append(distance[tune.future_mask[rows].all(axis=1)])
+        distance = np.concatenate(errors)
+        return {"ade_3s_m": float(distance.mean()), "ade_0s3_m": float(distance[:, :3].mean())}
+
+    best = _fit(model, learn, loss_of, figures, "ade_3s_m", plan.edn_epochs, plan, "EDN", say)
+    return model, best
+
+
+def _fit(
+    model: nn.Module,
+    learn: Samples,
+    loss_of: Callable[[Samples, np.ndarray], Tensor],
+    figures: Callable[[], dict[str, float]],
+    judged_by: str,
+    epochs: int,
+    plan: TrainingPlan,
+    name: str,
+    say: Say,
+) -> dict[str, float]:
+    """Adam with a cosine schedule; the epoch that is best on the tuning seeds is kept."""
+    random = np.random.default_rng(plan.seed)
+    optimiser = torch.optim.Adam(model.parameters(), lr=plan.learning_rate)
+    steps = epochs * math.ceil(len(learn) / plan.batch)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, plan.learning_rate, max(steps, 2))
+    best: dict[str, float] = {}
+    best_state = copy.deepcopy(model.state_dict())
+    started = time.monotonic()
+    for epoch in range(1, epochs + 1):
+        model.train()
+        total = 0.0
+        for rows in _batches(len(learn), plan.batch, random):
+            loss = loss_of(learn, rows)
+            if not bool(torch.isfinite(loss)):
+                model.load_state_dict(best_state)
+                raise HatnSimError(f"training {name}: the loss became {loss.item()} in epoch {epoch}")
+            optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+            optimiser.step()
+            schedule.step()
+            total += float(loss.detach()) * len(rows)
+        model.eval()
+        now = figures()
+        if not best or now[judged_by] < best[judged_by]:
+            best, best_state = now, copy.deepcopy(model.state_dict())
+        shown = ", ".join(f"{key} {value:.4f}" for key, value in now.items())
+        say(
+            f"{name} epoch {epoch} of {epochs}: loss {total / len(learn):.4f}, {shown}, "
+            f"{time.monotonic() - started:.0f} s"
+        )
+    model.load_state_dict(best_state)
+    model.eval()
+    return best
+
+
+def graph_batch(samples: Samples, rows: np.ndarray) -> GraphBatch:
+    """Rows of the samples as tensors."""
+    return GraphBatch(
+        x=torch.from_numpy(samples.x[rows]),
+        context=torch.from_numpy(samples.context[rows]),
+        node_mask=torch.from_numpy(samples.node_mask[rows]),
+        focus_mask=torch.from_numpy(samples.focus_mask[rows]),
+        history_mask=torch.from_numpy(samples.history_mask[rows]),
+    )
+
+
+def _batches(
+    count: int, size: int, random: np.random.Generator | None = None
+) -> Iterator[np.ndarray]:
+    order = np.arange(count) if random is None else random.permutation(count)
+    for start in range(0, count, size):
+        yield order[start : start + size]

@@ -1,0 +1,37 @@
+"""The log of a run: a folder that the run loop writes and everything else reads.
+
+| file | holds |
+|---|---|
+| `run.json` | schema version, what the run was made of, whether it finished |
+| `timing.json` | the wall clock; all else is byte for byte the same between two equal runs |
+| `suggestions.jsonl`, `alerts.jsonl` | one line per change, written as it happens |
+| `tracks/`, `frames/` | all that a camera saw: `Scene`, in float64 |
+| `truth/` | what only the simulator knows; closed to predictors |
+| `predictions/NAME/` | what each predictor said of every vehicle |
+| `scores.json` | the scores, once they have been computed |
+
+Tables are Parquet parts of `PART_FRAMES` frames each, so a killed run loses at most the last part.
+"""
+
+from hatn_sim.log.reader import (
+    Event,
+    PredictionTable,
+    Run,
+    SuggestionChange,
+    TrackTable,
+    read_run,
+)
+from hatn_sim.log.schema import PART_FRAMES, SCHEMA_VERSION
+from hatn_sim.log.writer import RunWriter
+
+__all__ = [
+    "PART_FRAMES",
+    "SCHEMA_VERSION",
+    "Event",
+    "PredictionTable",
+    "Run",
+    "RunWriter",
+    "SuggestionChange",
+    "TrackTable",
+    "read_run",
+]

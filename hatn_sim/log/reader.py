@@ -1,0 +1,349 @@
+"""The folder of a run -> its frames, predictions and changes; a killed run is read as well."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hatn_sim.datatypes import (
+    HORIZON_FRAMES,
+    Alert,
+    BoolArray,
+    FloatArray,
+    Frame,
+    IntArray,
+    Route,
+    Scene,
+    Suggestion,
+    Truth,
+)
+from hatn_sim.errors import InputError
+from hatn_sim.labels import Trajectories, trajectories_from_rows
+from hatn_sim.log import schema
+from hatn_sim.log.parts import padded, part_count, read_parts
+
+
+@dataclass(frozen=True, eq=False)
+class TrackTable:
+    """All of the run's scenes, one row per vehicle and frame, by frame."""
+
+    frame: IntArray  # [R]
+    vehicle: IntArray  # [R] index into Run.ids
+    xy_m: FloatArray  # [R, 2]
+    yaw_rad: FloatArray  # [R]
+    speed_mps: FloatArray  # [R]
+    size_m: FloatArray  # [R, 2]
+    kind: IntArray  # [R]
+    colour: IntArray  # [R, 3]
+    blinker: IntArray  # [R]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionTable:
+    """What one predictor said, one row per vehicle and frame, by frame; letters as in datatypes.
+
+    Shorter lists are padded: modes with probability 0, components and slots as their masks say.
+    """
+
+    predictor: str
+    frame: IntArray  # [R]
+    vehicle: IntArray  # [R] index into Run.ids
+    fallback: BoolArray  # [R]
+    adapted: BoolArray  # [R]
+    on_line: BoolArray  # [R]
+    line_probability: FloatArray  # [R] 0 where not on a line
+    mode_probability: FloatArray  # [R, K]
+    xy_m: FloatArray  # [R, K, F, 2]
+    goal_mask: BoolArray  # [R, C]
+    goal_weight: FloatArray  # [R, C]
+    goal_mean_m: FloatArray  # [R, C]
+    goal_std_m: FloatArray  # [R, C]
+    has_conflict: BoolArray  # [R] the vehicle's own graph has an active conflict
+    slot_mask: BoolArray  # [R, M] all False: no graph
+    slot_vehicle: IntArray  # [R, M] vehicle behind each slot, the ego's own first; -1 where masked
+    slot_in_focus: BoolArray  # [R, M]
+    has_slot_probability: BoolArray  # [R]
+    slot_probability: FloatArray  # [R, M]
+    ego_to_conflict_m: FloatArray  # [R, M]
+    rear_to_conflict_m: FloatArray  # [R, M]
+    conflict_xy_m: FloatArray  # [R, M, 2]
+    conflict_type: IntArray  # [R, M]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that only the simulator knows: a key of `schema.EVENTS`, and whom it befell."""
+
+    frame: int
+    time_s: float
+    type: str
+    ids: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SuggestionChange:
+    """From this frame on the ego is advised so; None: no longer advised."""
+
+    frame: int
+    ego_id: str
+    suggestion: Suggestion | None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The log of a run, read when asked for. Every property may raise `InputError` (damage)."""
+
+    path: Path
+    header: Mapping[str, Any]  # run.json
+    finished: bool  # False: the run was stopped or killed, and is there up to frame_count
+    frame_count: int
+    parts: int
+    predictors: tuple[str, ...]  # the main one first
+
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """Every vehicle of the run, in order of appearance."""
+        rows = read_parts(
+            self.path / schema.TRACKS_FOLDER, self.parts, (schema.Column("id", schema.ID),)
+        )
+        return tuple(dict.fromkeys(rows["id"].tolist()))
+
+    @cached_property
+    def tracks(self) -> TrackTable:
+        rows = self._rows(schema.TRACKS_FOLDER, schema.TRACKS)
+        return TrackTable(
+            frame=rows["frame"].astype(np.int64),
+            vehicle=rows["id"],
+            xy_m=np.stack([rows["x_m"], rows["y_m"]], axis=1),
+            yaw_rad=rows["yaw_rad"],
+            speed_mps=rows["speed_mps"],
+            size_m=np.stack([rows["length_m"], rows["width_m"]], axis=1),
+            kind=rows["kind"].astype(np.int64),
+            colour=np.stack([rows["red"], rows["green"], rows["blue"]], axis=1).astype(np.int64),
+            blinker=rows["blinker"].astype(np.int64),
+        )
+
+    @cached_property
+    def trajectories(self) -> Trajectories:
+        tracks = self.tracks
+        return trajectories_from_rows(
+            self.ids, tracks.vehicle, tracks.frame, tracks.xy_m, self.frame_count
+        )
+
+    @cached_property
+    def kinds(self) -> IntArray:
+        """[V] Kind of every vehicle of `ids`."""
+        kinds = np.zeros(len(self.ids), dtype=np.int64)
+        kinds[self.tracks.vehicle] = self.tracks.kind
+        return kinds
+
+    def scenes(self) -> Iterator[Scene]:
+        """The scenes exactly as they were written."""
+        return (frame.scene for frame in self.frames())
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames exactly as they were written, with what only the simulator knew."""
+        tracks, index = self.tracks, self._index_of_frames
+        routes: list[Route | None] = [tuple(route) for route in self._lines(schema.ROUTES_FILE)]
+        route_of_row = self._rows(schema.TRUTH_FOLDER, schema.TRUTH)["route"].tolist()
+        routes.append(None)  # found by -1
+        first = np.searchsorted(tracks.frame, np.arange(self.frame_count + 1))
+        closed, closed_counts = index["signal_closed"]
+        closed_ends = np.cumsum(closed_counts)
+        events: dict[int, list[Event]] = {}
+        for event in self.events:
+            events.setdefault(event.frame, []).append(event)
+        for frame in range(self.frame_count):
+            rows = slice(first[frame], first[frame + 1])
+            end = closed_ends[frame]
+            scene = Scene(
+                time_s=float(index["time_s"][frame]),
+                ids=tuple(self.ids[vehicle] for vehicle in tracks.vehicle[rows]),
+                xy_m=tracks.xy_m[rows],
+                yaw_rad=tracks.yaw_rad[rows],
+                speed_mps=tracks.speed_mps[rows],
+                size_m=tracks.size_m[rows],
+                kind=tracks.kind[rows],
+                colour=tracks.colour[rows],
+                blinker=tracks.blinker[rows],
+                signal_closed=closed[end - closed_counts[frame] : end],
+            )
+            truth = _truth(
+                tuple(routes[route] for route in route_of_row[rows]), events.get(frame, [])
+            )
+            yield Frame(scene, truth, bool(index["done"][frame]))
+
+    def predicted(self, predictor: str, every_frames: int = 1) -> tuple[IntArray, IntArray]:
+        """Which (vehicle, frame) a predictor has rows of; cheaper than its whole table."""
+        folder = schema.predictor_folder(predictor)
+        rows = self._rows(folder, schema.PREDICTIONS[:2], every_frames)
+        return rows["id"], rows["frame"].astype(np.int64)
+
+    def predictions(self, predictor: str, every_frames: int = 1) -> PredictionTable:
+        """What a predictor said, at every frame or only at multiples of `every_frames`."""
+        if predictor not in self.predictors:
+            known = ", ".join(self.predictors) or "none"
+            raise InputError(f"{self.path}: no predictions of {predictor!r}; there are: {known}")
+        rows = self._rows(schema.predictor_folder(predictor), schema.PREDICTIONS, every_frames)
+        frame, vehicle = rows["frame"].astype(np.int64), rows["id"]
+        mode_probability, _ = padded(rows["mode_probability"])
+        offset, _ = padded(rows["offset_xy_m"])
+        offset_xy_m = offset.reshape(len(frame), mode_probability.shape[1], HORIZON_FRAMES, 2)
+        now_xy_m = self.trajectories.xy_m[vehicle, frame]
+        goals = {n: padded(rows[n]) for n in ("goal_weight", "goal_mean_m", "goal_std_m")}
+        slot_vehicle, slot_mask = padded(rows["slot_id"], fill=-1)
+        slots = {n: _as_wide(padded(rows[n])[0], slot_mask) for n in schema.SLOT_COLUMNS[1:]}
+        return PredictionTable(
+            predictor=predictor,
+            frame=frame,
+            vehicle=vehicle,
+            fallback=rows["fallback"],
+            adapted=rows["adapted"],
+            on_line=rows["on_line"],
+            line_probability=rows["line_probability"].astype(np.float64),
+            mode_probability=mode_probability.astype(np.float64),
+            xy_m=offset_xy_m + now_xy_m[:, None, None],
+            goal_mask=goals["goal_weight"][1],
+            **{name: values.astype(np.float64) for name, (values, _) in goals.items()},
+            has_conflict=rows["has_conflict"],
+            slot_mask=slot_mask,
+            slot_vehicle=slot_vehicle,
+            slot_in_focus=slots["slot_in_focus"],
+            has_slot_probability=rows["slot_probability"][1] > 0,
+            slot_probability=slots["slot_probability"].astype(np.float64),
+            ego_to_conflict_m=slots["ego_to_conflict_m"],
+            rear_to_conflict_m=slots["rear_to_conflict_m"],
+            conflict_xy_m=np.stack([slots["conflict_x_m"], slots["conflict_y_m"]], axis=2),
+            conflict_type=slots["conflict_type"].astype(np.int64),
+        )
+
+    @cached_property
+    def suggestions(self) -> tuple[SuggestionChange, ...]:
+        return tuple(
+            SuggestionChange(
+                line["frame"],
+                line["ego_id"],
+                None if line["action"] is None else _read_as(Suggestion, line),
+            )
+            for line in self._lines(schema.SUGGESTIONS_FILE)
+        )
+
+    @cached_property
+    def alerts(self) -> tuple[tuple[int, Alert], ...]:
+        """(frame, edge of an alert) as they happened."""
+        return tuple(
+            (line["frame"], _read_as(Alert, line)) for line in self._lines(schema.ALERTS_FILE)
+        )
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        return tuple(
+            Event(line["frame"], line["time_s"], line["type"], tuple(line["ids"]))
+            for line in self._lines(schema.EVENTS_FILE)
+        )
+
+    @cached_property
+    def times_s(self) -> FloatArray:
+        """[frame_count]"""
+        times: FloatArray = self._index_of_frames["time_s"]
+        return times
+
+    @cached_property
+    def _index_of_frames(self) -> dict[str, Any]:
+        return read_parts(self.path / schema.FRAMES_FOLDER, self.parts, schema.FRAMES)
+
+    def _rows(
+        self, folder: str, columns: tuple[schema.Column, ...], every_frames: int = 1
+    ) -> dict[str, Any]:
+        index = {name: number for number, name in enumerate(self.ids)}
+        # A run stopped while it wrote a frame may have rows of it that do not count.
+        frames = range(0, self.frame_count, every_frames)
+        return read_parts(self.path / folder, self.parts, columns, index, frames)
+
+    def _lines(self, name: str) -> list[Any]:
+        path = self.path / name
+        lines = _read_text(path).split("\n")
+        if lines.pop() and self.finished:
+            raise InputError(f"{path}: the last line is cut off; make the run again")
+        try:
+            return [json.loads(line) for line in lines]
+        except ValueError as error:
+            raise InputError(f"{path}: a line is not JSON ({error}); make the run again") from error
+
+
+def read_run(path: Path) -> Run:
+    """Open the log of a run, finished or not.
+
+    Raises:
+        InputError: not the folder of a run, of another schema version, or damaged.
+    """
+    file = path / schema.RUN_FILE
+    if not file.is_file():
+        raise InputError(
+            f"{path}: expected the folder of a run, found no {schema.RUN_FILE} in it; "
+            "name a folder that `hatn-sim run --out` made"
+        )
+    try:
+        header = json.loads(_read_text(file))
+        version = header["schema_version"]
+        named, finished, frames = header["predictors"], header["finished"], header["frames"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{file}: expected the head of a run's log, found damage ({error!r}); "
+            "make the run again"
+        ) from error
+    if version != schema.SCHEMA_VERSION:
+        raise InputError(
+            f"{file}: expected schema version {schema.SCHEMA_VERSION}, found {version}; "
+            "make the run again with this version of hatn-sim, or read it with that one"
+        )
+    parts = part_count(path / schema.FRAMES_FOLDER)
+    columns = (schema.Column("frame", "int32"),)
+    frame_count = len(read_parts(path / schema.FRAMES_FOLDER, parts, columns)["frame"])
+    if finished and frame_count != frames:
+        raise InputError(
+            f"{path}: expected {frames} frames, found {frame_count}; a part was lost, "
+            "make the run again"
+        )
+    folders = sorted((path / schema.PREDICTIONS_FOLDER).glob("*"))
+    found = [schema.predictor_name(folder.name) for folder in folders]
+    predictors = tuple(dict.fromkeys([*named, *found]))
+    return Run(path, header, finished, frame_count, parts, predictors)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); make the run again") from error
+
+
+def _read_as(kind: type, line: Mapping[str, Any]) -> Any:
+    """A line of JSON as a flat dataclass; null in a field of floats stands for "not finite"."""
+    values = {field.name: line[field.name] for field in fields(kind)}
+    for field in fields(kind):
+        if field.type in ("float", float) and values[field.name] is None:
+            values[field.name] = math.nan
+    return kind(**values)
+
+
+def _truth(routes: tuple[Route | None, ...], events: list[Event]) -> Truth:
+    happened: dict[str, tuple[Any, ...]] = {}
+    for kind, name in schema.EVENTS.items():
+        who = [event.ids for event in events if event.type == kind]
+        happened[name] = tuple(who if kind == "collision" else [ids[0] for ids in who])
+    return Truth(routes, **happened)
+
+
+def _as_wide(values: Any, mask: BoolArray) -> Any:
+    """Padded lists in the mask's shape: lists may be empty where the mask is not (no answer)."""
+    wide = np.zeros(mask.shape, dtype=values.dtype)
+    wide[:, : values.shape[1]] = values
+    return wide

@@ -1,0 +1,220 @@
+"""Frames and advice -> the folder of a run."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+import numpy as np
+
+from hatn_sim.datatypes import Advice, Frame, Route, Truth
+from hatn_sim.errors import HatnSimError, InputError
+from hatn_sim.log import rows, schema
+from hatn_sim.log.parts import PartBuffer
+
+RESERVED_KEYS = ("schema_version", "finished", "frames", "predictors")
+
+
+class RunWriter:
+    """Writes the log of a run; a context manager, which closes it as unfinished on an exception.
+
+    Args:
+        out: the folder to make; it must not exist.
+        header: what `run.json` says of the run (scenario, seed, settings ...), ready for JSON.
+            Scores read its keys `scene` and `adapt`.
+
+    Raises:
+        InputError: `out` exists or cannot be made; nothing is left behind then.
+    """
+
+    def __init__(self, out: Path, header: Mapping[str, Any]) -> None:
+        if reserved := [key for key in RESERVED_KEYS if key in header]:
+            raise ValueError(f"the header of a run may not have the key {reserved[0]!r}")
+        json.dumps(dict(header))  # refused before anything is made
+        _make_folder(out)
+        self._out = out
+        self._header = dict(header)
+        self._predictions: dict[str, PartBuffer] = {}
+        self._index: dict[str, int] = {}  # of every vehicle so far, in order of appearance
+        self._routes: dict[Route, int] = {}
+        self._advised: dict[str, tuple[str, str | None, bool]] = {}
+        self._next_frame = 0
+        self._written_frames = 0
+        self._closed = False
+        with _errors_of_the_disk(out):
+            self._write_run_file(finished=False)
+            (out / schema.TRUTH_FOLDER).mkdir()
+            self._suggestions = self._open_lines(schema.SUGGESTIONS_FILE)
+            self._alerts = self._open_lines(schema.ALERTS_FILE)
+            self._events = self._open_lines(schema.EVENTS_FILE)
+            self._routes_file = self._open_lines(schema.ROUTES_FILE)
+        self._tracks = PartBuffer(out / schema.TRACKS_FOLDER, schema.TRACKS)
+        self._truth = PartBuffer(out / schema.TRUTH_FOLDER, schema.TRUTH)
+        self._frames = PartBuffer(out / schema.FRAMES_FOLDER, schema.FRAMES)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close(finished=kind is None)
+
+    def write(self, frame_index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
+        """Add a frame; `advice` by predictor, the main one first, whose suggestions are logged.
+
+        Frames are numbered 0, 1, 2 ... Any predictor may be absent from a frame; the others of
+        `--compare` are needed only at frames that are sampled for scores.
+
+        Raises:
+            ValueError: a frame out of order, or a prediction of other vehicles than the frame's.
+            HatnSimError: the disk is full or the like.
+        """
+        if frame_index != self._next_frame:
+            raise ValueError(f"frame {self._next_frame} has to follow, got {frame_index}")
+        scene = frame.scene
+        for name, of_predictor in advice.items():
+            if of_predictor.prediction.ids != scene.ids:
+                raise ValueError(f"{name} predicts other vehicles than those of the frame")
+        index = self._index
+        vehicles = np.array([index.setdefault(name, len(index)) for name in scene.ids], np.int64)
+        with _errors_of_the_disk(self._out):
+            self._tracks.append(rows.track_rows(frame_index, scene, vehicles))
+            routes = self._route_lines(frame.truth)
+            self._truth.append(rows.truth_rows(frame_index, vehicles, routes))
+            self._write_events(frame_index, scene.time_s, frame.truth)
+            for order, (name, of_predictor) in enumerate(advice.items()):
+                self._buffer(name).append(
+                    rows.prediction_rows(frame_index, scene, of_predictor.prediction, vehicles)
+                )
+                if order == 0:
+                    self._write_suggestions(frame_index, of_predictor)
+                    for alert in of_predictor.alerts:
+                        _write_line(self._alerts, {"frame": frame_index, **asdict(alert)})
+            # Last: a frame counts for readers from here on, whatever interrupts the run.
+            self._frames.append(rows.frame_rows(frame_index, frame))
+            self._next_frame += 1
+            if self._next_frame % schema.PART_FRAMES == 0:
+                self._write_part()
+
+    def close(self, *, finished: bool = True, timing: Mapping[str, Any] | None = None) -> None:
+        """Write what is left; a second call does nothing. `timing` goes to `timing.json`."""
+        if self._closed:
+            return
+        self._closed = True
+        with _errors_of_the_disk(self._out):
+            if self._written_frames < self._next_frame:
+                self._write_part()
+            for file in (self._suggestions, self._alerts, self._events, self._routes_file):
+                file.close()
+            if timing is not None:
+                self._write_whole(schema.TIMING_FILE, json.dumps(dict(timing), indent=2))
+            self._write_run_file(finished=finished)
+
+    def _buffer(self, predictor: str) -> PartBuffer:
+        if predictor not in self._predictions:
+            folder = self._out / schema.predictor_folder(predictor)
+            self._predictions[predictor] = PartBuffer(folder, schema.PREDICTIONS)
+        return self._predictions[predictor]
+
+    def _route_lines(self, truth: Truth) -> list[int]:
+        """The line of `routes.jsonl` with each vehicle's route, appended when it is new."""
+        for route in truth.routes:
+            if route is not None and route not in self._routes:
+                self._routes[route] = len(self._routes)
+                _write_line(self._routes_file, list(route))
+        return [-1 if route is None else self._routes[route] for route in truth.routes]
+
+    def _write_events(self, frame_index: int, time_s: float, truth: Truth) -> None:
+        for kind, name in schema.EVENTS.items():
+            for who in getattr(truth, name):
+                ids = [who] if isinstance(who, str) else list(who)
+                event = {"frame": frame_index, "time_s": time_s, "type": kind, "ids": ids}
+                _write_line(self._events, event)
+
+    def _write_suggestions(self, frame_index: int, advice: Advice) -> None:
+        """A line when action, slot or feasibility change, not when a probability stirs."""
+        advised = {}
+        for suggestion in advice.suggestions:
+            key = suggestion.action, suggestion.slot_id, suggestion.feasible
+            advised[suggestion.ego_id] = key
+            if self._advised.get(suggestion.ego_id) != key:
+                _write_line(self._suggestions, {"frame": frame_index, **asdict(suggestion)})
+        for ego_id in self._advised:
+            if ego_id not in advised:
+                gone = {"frame": frame_index, "ego_id": ego_id, "action": None}
+                _write_line(self._suggestions, gone)
+        self._advised = advised
+
+    def _write_part(self) -> None:
+        part = (self._next_frame - 1) // schema.PART_FRAMES
+        ids = list(self._index)
+        # The part of `frames` comes last: readers count a part from then on.
+        for buffer in (self._tracks, self._truth, *self._predictions.values(), self._frames):
+            buffer.write(part, ids)
+        self._written_frames = self._next_frame
+        self._write_run_file(finished=False)
+
+    def _write_run_file(self, *, finished: bool) -> None:
+        content = {
+            "schema_version": schema.SCHEMA_VERSION,
+            **self._header,
+            "predictors": list(self._predictions),
+            "frames": self._written_frames,
+            "finished": finished,
+        }
+        self._write_whole(schema.RUN_FILE, json.dumps(content, indent=2))
+
+    def _write_whole(self, name: str, text: str) -> None:
+        unfinished = self._out / f"{name}.tmp"
+        unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
+        unfinished.replace(self._out / name)
+
+    def _open_lines(self, name: str) -> IO[str]:
+        return (self._out / name).open("w", encoding="utf-8", newline="\n")
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True)
+    except FileExistsError as error:
+        raise InputError(
+            f"{out}: expected an output folder that does not exist yet, found one that does; "
+            "name another or remove it"
+        ) from error
+    except OSError as error:
+        raise InputError(
+            f"{out}: the output folder cannot be made ({error.strerror}); "
+            "name one in a place that can be written"
+        ) from error
+
+
+@contextmanager
+def _errors_of_the_disk(out: Path) -> Generator[None, None, None]:
+    try:
+        yield
+    except OSError as error:
+        raise HatnSimError(
+            f"{out}: the log cannot be written on ({error.strerror or error}); "
+            "make room or name another folder, and make the run again"
+        ) from error
+
+
+def _write_line(file: IO[str], content: Any) -> None:
+    """One line of JSON, out of our hands at once; what is not finite becomes null."""
+    if isinstance(content, dict):
+        content = {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in content.items()
+        }
+    file.write(json.dumps(content, allow_nan=False) + "\n")
+    file.flush()

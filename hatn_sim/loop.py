@@ -1,0 +1,105 @@
+"""tick() and run(): the only loop. A frame in, advice out, commands back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+from hatn_sim.assist.alert import AlertState, alert
+from hatn_sim.assist.risk import encounters
+from hatn_sim.assist.suggest import SuggestionState, suggest
+from hatn_sim.datatypes import Advice, Agent, Command, Frame, Predictor, Simulator
+from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+from hatn_sim.road import Road
+
+LineSource = Literal["inferred", "route"]
+MAIN: Final = 0
+"""The first adviser is the one whose advice is shown and acted on; the others are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adviser:
+    """A predictor and what is made of it."""
+
+    predictor: Predictor
+    lines: LineSource = "inferred"
+    egos: frozenset[str] | None = None  # who gets suggestions and alerts; None: everybody
+
+
+@dataclass(frozen=True, eq=False)
+class AdviserState:
+    memory: Any
+    suggestions: SuggestionState
+    alerts: AlertState
+
+
+def begin(adviser: Adviser, road: Road) -> AdviserState:
+    """Nothing seen yet."""
+    return AdviserState(adviser.predictor.init(road), SuggestionState(), AlertState())
+
+
+def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState:
+    """Take in a frame for which no advice is wanted."""
+    routes = frame.truth.routes if adviser.lines == "route" else None
+    return replace(state, memory=adviser.predictor.observe(state.memory, frame.scene, routes))
+
+
+def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserState, Advice]:
+    """Take in a frame and give advice: prediction, suggestions, alerts."""
+    state = observe(adviser, state, frame)
+    prediction = adviser.predictor.predict(state.memory)
+    if prediction.graphs is None or prediction.slot_probability is None:
+        return state, Advice(prediction, (), ())
+    scene = frame.scene
+    meeting = encounters(scene, prediction)
+    told, suggestions = suggest(state.suggestions, scene, prediction, meeting, adviser.egos)
+    warned, alerts = alert(state.alerts, scene, prediction, meeting, adviser.egos)
+    return AdviserState(state.memory, told, warned), Advice(prediction, suggestions, alerts)
+
+
+def run(
+    simulator: Simulator,
+    advisers: Sequence[Adviser],
+    frame: Frame,
+    warm_up: int,
+    frames: int,
+    write: Callable[[int, Frame, Mapping[str, Advice]], None],
+    agents: Mapping[str, Agent] | None = None,
+) -> int:
+    """Advise a whole run and hand every frame with its advice to `write`; returns the frames done.
+
+    `frame` is what `simulator.reset` gave; `warm_up` frames pass before anybody looks. The first
+    adviser predicts on every frame, the others on those that are scored. `agents` drive the
+    vehicles of their ids.
+    """
+    drivers = agents or {}
+    for _ in range(warm_up):
+        if frame.done:
+            break
+        frame = simulator.step()
+    road = simulator.road
+    states = [begin(adviser, road) for adviser in advisers]
+    driver_states = {ego_id: agent.init(road) for ego_id, agent in drivers.items()}
+    done = 0
+    for index in range(frames):
+        advice: dict[str, Advice] = {}
+        for k, adviser in enumerate(advisers):
+            if k == MAIN or index % SAMPLE_EVERY_FRAMES == 0:
+                states[k], advice[adviser.predictor.name] = tick(adviser, states[k], frame)
+            else:
+                states[k] = observe(adviser, states[k], frame)
+        write(index, frame, advice)
+        done = index + 1
+        if frame.done or done == frames:
+            break
+        commands: list[Command] = []
+        for ego_id, agent in drivers.items():
+            shown = advice[advisers[MAIN].predictor.name]
+            driver_states[ego_id], command = agent.step(
+                driver_states[ego_id], ego_id, frame.scene, shown
+            )
+            if command is not None:
+                commands.append(command)
+        frame = simulator.step(commands)
+    return done

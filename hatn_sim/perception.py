@@ -1,0 +1,161 @@
+"""From scenes to what every predictor starts from: tracks, lines, motion along them, leaders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hatn_sim.datatypes import HISTORY_FRAMES, FloatArray, IntArray, Lines, Route, Scene, Tracks
+from hatn_sim.geometry import wrap_angle
+from hatn_sim.lines import LineState, empty_lines, follow_lines
+from hatn_sim.road import Road
+from hatn_sim.tracks import empty_tracks, extend
+
+CORRIDOR_M: Final = 1.8
+"""A vehicle this near to a line, heading along it, is in the line's corridor."""
+CORRIDOR_RAD: Final = np.deg2rad(60.0)
+LEADER_REACH_M: Final = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Vehicles along lines over the history: [N, T] each, T = HISTORY_FRAMES, the last is now."""
+
+    s_m: FloatArray
+    d_m: FloatArray
+    phi_rad: FloatArray
+    speed_mps: FloatArray  # along the line: v cos phi
+    lateral_mps: FloatArray  # v sin phi
+
+
+@dataclass(frozen=True, eq=False)
+class Perception:
+    """One moment as every predictor sees it."""
+
+    scene: Scene
+    tracks: Tracks
+    lines: Lines
+    own: Motion  # of every vehicle on its own line
+    leader: IntArray  # [N] the vehicle ahead in the own corridor, -1: none
+    leader_s_m: FloatArray  # [N] its arc length on the follower's line
+    waited_s: FloatArray  # [N] how long it has stood, as far as the tracks go back
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptionState:
+    """Memory of what was seen so far, and the newest moment."""
+
+    road: Road
+    line_state: LineState
+    seen: Perception
+
+
+def begin(road: Road) -> PerceptionState:
+    """Nothing seen yet. The same object for the same road, so that predictors share their work."""
+    if "begin" not in road.shared:
+        nothing = np.zeros(0)
+        shape = (0, HISTORY_FRAMES)
+        motion = Motion(*(np.zeros(shape) for _ in range(5)))
+        none = np.zeros(0, dtype=np.int64)
+        scene = Scene(
+            time_s=0.0,
+            ids=(),
+            xy_m=np.zeros((0, 2)),
+            yaw_rad=nothing,
+            speed_mps=nothing,
+            size_m=np.zeros((0, 2)),
+            kind=none,
+            colour=np.zeros((0, 3), dtype=np.int64),
+            blinker=none,
+            signal_closed=np.zeros(0, dtype=np.bool_),
+        )
+        lines = Lines(none, nothing, nothing, nothing, nothing)
+        seen = Perception(scene, empty_tracks(), lines, motion, none, nothing, nothing)
+        road.shared["begin"] = PerceptionState(road, empty_lines(), seen)
+    state: PerceptionState = road.shared["begin"]
+    return state
+
+
+def perceive(
+    state: PerceptionState, scene: Scene, routes: tuple[Route | None, ...] | None
+) -> PerceptionState:
+    """One frame on. Predictors that look at one scene from one memory share the result."""
+    road, by_route = state.road, routes is not None
+    last = road.shared.get("last")
+    if last and last[0] is state and last[1] is scene and last[2] == by_route:
+        known: PerceptionState = last[3]
+        return known
+    tracks = extend(state.seen.tracks, scene)
+    line_state, lines = follow_lines(state.line_state, road, tracks, scene, routes)
+    own = motion_along(road, tracks, lines.line, lines.s_m, np.arange(len(scene.ids)))
+    leader, leader_s_m = find_leaders(road, scene, lines)
+    seen = Perception(scene, tracks, lines, own, leader, leader_s_m, _waited_s(tracks))
+    after = PerceptionState(road, line_state, seen)
+    road.shared["last"] = (state, scene, by_route, after)
+    return after
+
+
+def motion_along(
+    road: Road, tracks: Tracks, line: IntArray, s_now_m: FloatArray, vehicle: IntArray
+) -> Motion:
+    """The history of vehicles [Q] on lines [Q], where they are now at arc lengths `s_now_m`.
+
+    Entries without a line (-1) stay zero. The search goes back from now by the distance travelled,
+    so that a line which meets itself again is followed on the right lap.
+    """
+    shape = (len(vehicle), HISTORY_FRAMES)
+    s, d, phi = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    speed = tracks.speed_mps[vehicle, -HISTORY_FRAMES:]
+    on = np.flatnonzero(line >= 0)
+    if len(on):
+        xy = tracks.xy_m[vehicle[on], -HISTORY_FRAMES:]
+        steps = np.linalg.norm(np.diff(xy, axis=1), axis=2)
+        behind = np.zeros((len(on), HISTORY_FRAMES))
+        behind[:, :-1] = np.cumsum(steps[:, ::-1], axis=1)[:, ::-1]
+        guess = (s_now_m[on, None] - behind).ravel()
+        flat_line = np.repeat(line[on], HISTORY_FRAMES)
+        flat_s, flat_d = road.project(flat_line, xy.reshape(-1, 2), guess, 2.5)
+        tangent = road.line_yaw_rad(flat_line, flat_s).reshape(len(on), -1)
+        s[on], d[on] = flat_s.reshape(len(on), -1), flat_d.reshape(len(on), -1)
+        phi[on] = wrap_angle(tracks.yaw_rad[vehicle[on], -HISTORY_FRAMES:] - tangent)
+    return Motion(s, d, phi, speed * np.cos(phi), speed * np.sin(phi))
+
+
+def find_leaders(road: Road, scene: Scene, lines: Lines) -> tuple[IntArray, FloatArray]:
+    """The nearest vehicle ahead in the corridor of every line, and its arc length there."""
+    count = len(scene.ids)
+    leader = np.full(count, -1, dtype=np.int64)
+    leader_s_m = np.full(count, np.inf)
+    if count < 2:
+        return leader, leader_s_m
+    pairs = cKDTree(scene.xy_m).query_pairs(LEADER_REACH_M, output_type="ndarray")
+    follower = np.concatenate((pairs[:, 0], pairs[:, 1]))
+    ahead = np.concatenate((pairs[:, 1], pairs[:, 0]))
+    keep = lines.line[follower] >= 0
+    follower, ahead = follower[keep], ahead[keep]
+    if not len(follower):
+        return leader, leader_s_m
+    line, low_m = lines.line[follower], lines.s_m[follower]
+    near_s, near_m = road.coarse_distance_m(line, scene.xy_m[ahead], low_m, LEADER_REACH_M)
+    close = near_m < CORRIDOR_M + 2.5
+    follower, ahead, line, low_m = follower[close], ahead[close], line[close], low_m[close]
+    s, d = road.project(line, scene.xy_m[ahead], near_s[close], 3.0)
+    turned = np.abs(wrap_angle(scene.yaw_rad[ahead] - road.line_yaw_rad(line, s)))
+    inside = (np.abs(d) < CORRIDOR_M) & (turned < CORRIDOR_RAD) & (s > low_m + 0.1)
+    follower, ahead, s = follower[inside], ahead[inside], s[inside]
+    order = np.lexsort((ahead, s, follower))
+    follower, ahead, s = follower[order], ahead[order], s[order]
+    first = np.concatenate(([True], follower[1:] != follower[:-1])) if len(follower) else []
+    leader[follower[first]] = ahead[first]
+    leader_s_m[follower[first]] = s[first]
+    return leader, leader_s_m
+
+
+def _waited_s(tracks: Tracks) -> FloatArray:
+    """Time since the vehicle last moved (more than 0.3 m/s), at most the length of the tracks."""
+    standing = (tracks.speed_mps < 0.3) & tracks.valid
+    still = np.cumprod(standing[:, ::-1], axis=1)
+    return 0.1 * still.sum(axis=1).astype(np.float64)

@@ -1,0 +1,154 @@
+"""Scores for people (a table of 100 columns) and for programs (JSON)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from hatn_sim.datatypes import Score
+
+SCORES_FILE = "scores.json"
+BASELINE = "constant_velocity"
+"""Errors of the others are also given as a multiple of this predictor's, where it is there."""
+
+TITLES = {
+    "ade_3s": "ADE 3 s",
+    "fde_3s": "FDE 3 s",
+    "ade_0s3": "ADE 0.3 s",
+    "fde_0s3": "FDE 0.3 s",
+    "goal_error": "goal error",
+    "fallback_share": "fallback",
+    "slot_accuracy": "slot accuracy",
+    "slot_macro_f1": "macro-F1",
+    "slot_ece": "ECE",
+    "yield_base_rate": "always yield",
+    "single_slot_share": "single slot",
+}
+ERRORS = ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "goal_error")
+SLOTS = ("slot_accuracy", "slot_macro_f1", "yield_base_rate", "slot_ece", "single_slot_share")
+SUBSETS = {"all": "all samples", "moving": "moving samples (more than 1 m in 3 s)"}
+
+
+NONE = "-"
+
+
+def scores_json(scores: Sequence[Score]) -> str:
+    """A JSON list of objects with the fields of `Score`; no value is null, with n = 0."""
+    return json.dumps([asdict(score) for score in scores], indent=2, allow_nan=False)
+
+
+def write_scores(folder: Path, scores: Sequence[Score]) -> Path:
+    """Write `scores.json` into the folder of a run."""
+    path = folder / SCORES_FILE
+    path.write_text(scores_json(scores) + "\n", encoding="utf-8", newline="\n")
+    return path
+
+
+def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Group:
+    """The scores as tables for a console: for each scene, errors and then slots.
+
+    Each value stands over its 95 % interval; with constant velocity among the predictors, errors
+    come with their ratio to its.
+
+    Args:
+        scores: of any scenes and predictors.
+        clustered_over: what the intervals were bootstrapped over, said below the tables.
+    """
+    parts: list[Table | Text] = []
+    for scene in dict.fromkeys(score.scene for score in scores):
+        of_scene = [score for score in scores if score.scene == scene]
+        for subset in SUBSETS:
+            parts += [_error_table(scene, subset, of_scene), Text()]
+        if any(score.n for score in of_scene if score.measure in SLOTS):
+            parts += [_slot_table(scene, of_scene), Text()]
+    note = f"[low high] 95 % interval, bootstrapped over {clustered_over}"
+    if any(score.predictor == BASELINE for score in scores):
+        note += f"; x ratio to {BASELINE.replace('_', ' ')}"
+    parts.append(Text(note, style="dim"))
+    return Group(*parts)
+
+
+def _error_table(scene: str, subset: str, scores: Sequence[Score]) -> Table:
+    table = _table(f"{scene}: errors in metres, {SUBSETS[subset]}", (*ERRORS, "fallback_share"))
+    by_measure = _by_measure(scores, subset)
+    base = [by_measure.get((BASELINE, measure)) for measure in ERRORS]
+    for predictor in dict.fromkeys(score.predictor for score in scores):
+        row = [by_measure.get((predictor, measure)) for measure in ERRORS]
+        fallback = by_measure.get((predictor, "fallback_share"))
+        table.add_row(
+            _name(row),
+            _count(row),
+            *(_error_cell(*pair) for pair in zip(row, base, strict=True)),
+            _share_cell(fallback, interval=False),
+        )
+    return table
+
+
+def _slot_table(scene: str, scores: Sequence[Score]) -> Table:
+    table = _table(f"{scene}: slots", SLOTS)
+    by_measure = _by_measure(scores, "all")
+    for predictor in dict.fromkeys(score.predictor for score in scores):
+        row = [by_measure.get((predictor, measure)) for measure in SLOTS]
+        if any(score and score.n for score in row):
+            table.add_row(_name(row), _count(row), *(_share_cell(score) for score in row))
+    return table
+
+
+def _table(title: str, measures: Sequence[str]) -> Table:
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    table.add_column("predictor", min_width=9, max_width=12, overflow="fold")
+    table.add_column("n", justify="right", no_wrap=True)
+    for measure in measures:
+        table.add_column(TITLES[measure], justify="right", no_wrap=True)
+    return table
+
+
+def _by_measure(scores: Sequence[Score], subset: str) -> dict[tuple[str, str], Score]:
+    return {(s.predictor, s.measure): s for s in scores if s.subset == subset}
+
+
+def _name(row: Sequence[Score | None]) -> str:
+    first = next(score for score in row if score is not None)
+    name = first.predictor.replace("_", " ")
+    return name if first.adapt == "none" else f"{name} + {first.adapt}"
+
+
+def _count(row: Sequence[Score | None]) -> str:
+    return f"{next(score for score in row if score is not None).n:,}"
+
+
+def _error_cell(score: Score | None, base: Score | None) -> str:
+    if score is None or score.value is None:
+        return NONE
+    cell = _metres(score.value)
+    if base is not None and base.value and base is not score:
+        cell += f" x{score.value / base.value:.2f}"
+    if score.low is not None and score.high is not None:
+        cell += f"\n[{_metres(score.low)} {_metres(score.high)}]"
+    return cell
+
+
+def _metres(value: float) -> str:
+    return f"{value:.3f}" if value < 10.0 else f"{value:.2f}"
+
+
+def _share_cell(score: Score | None, interval: bool = True) -> str:
+    if score is None or score.value is None:
+        return NONE
+    cell = f"{100.0 * score.value:.1f} %"
+    if interval and score.low is not None and score.high is not None:
+        cell += f"\n[{100.0 * score.low:.1f} {100.0 * score.high:.1f}]"
+    return cell

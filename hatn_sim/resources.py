@@ -1,0 +1,49 @@
+"""Where the shipped scenes, agents and weights lie: the one finder for wheel and clone.
+
+A wheel carries scenes and agents inside the package (`hatn_sim/_data/`); in a clone, an sdist or
+an editable install they lie beside the package, in the repository's top folder.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hatn_sim.errors import InputError
+
+PACKAGE_DIR = Path(__file__).resolve().parent
+
+
+def scenarios_dir() -> Path:
+    """The folder of the shipped scenes. Raises InputError where they were not installed."""
+    return _data_dir("scenarios")
+
+
+def agents_dir() -> Path:
+    """The folder of the example agents. Raises InputError where they were not installed."""
+    return _data_dir("agents")
+
+
+def weights_dir() -> Path:
+    """The folder of the shipped network weights. Raises InputError where it is missing."""
+    folder = PACKAGE_DIR / "hatn" / "weights"
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected the shipped weights here; install hatn_sim again")
+    return folder
+
+
+def find_scenarios() -> dict[str, Path]:
+    """The shipped scenes: name -> its scenario.toml, by name."""
+    return {path.parent.name: path for path in sorted(scenarios_dir().glob("*/scenario.toml"))}
+
+
+def _data_dir(name: str) -> Path:
+    installed = PACKAGE_DIR / "_data" / name
+    beside = PACKAGE_DIR.parent / name
+    if installed.is_dir():
+        return installed
+    if beside.is_dir() and (PACKAGE_DIR.parent / "pyproject.toml").is_file():
+        return beside
+    raise InputError(
+        f"{installed}: expected the shipped {name} here, or in {beside} of a clone; "
+        "install hatn_sim again"
+    )

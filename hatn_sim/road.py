@@ -1,0 +1,350 @@
+"""Lanes -> reference lines -> conflicts. Built on demand: a road costs what its vehicles touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hatn_sim.conflicts import find_conflicts
+from hatn_sim.datatypes import (
+    Conflict,
+    FloatArray,
+    Gate,
+    IntArray,
+    Kind,
+    Lane,
+    ReferenceLine,
+    Route,
+)
+from hatn_sim.geometry import (
+    interpolate,
+    nearest_vertex,
+    project_at,
+    resample,
+    tangent_rad,
+    window,
+    wrap_angle,
+)
+
+LINE_STEP_M: Final = 0.5
+AHEAD_M: Final = 150.0
+"""How far candidate lines are drawn out beyond the lane they start from."""
+BEHIND_M: Final = 60.0
+"""How much of a line is kept behind a vehicle: more than three seconds of history."""
+MAX_BRANCHES: Final = 16
+MAX_CONFLICTS: Final = 6
+MAX_FORKS: Final = 24
+NEAR_M: Final = 3.5
+NEAR_RAD: Final = np.deg2rad(60.0)
+
+
+class Road:
+    """The lane graph of a place, and the reference lines and conflicts drawn from it so far.
+
+    Per-line arrays are padded to the longest line; row i belongs to `lines[i]`:
+
+    | array | shape | content |
+    |---|---|---|
+    | `xy_m` | [L, P, 2] | centre line, a vertex every `LINE_STEP_M` |
+    | `yaw_rad` | [L, P] | unwrapped direction |
+    | `speed_limit_mps` | [L, P] | of the lane at the vertex |
+    | `curvature_per_m` | [L, P] | signed, left positive |
+    | `count` | [L] | vertices |
+    | `gate_s_m`, `gate_type`, `gate_signal` | [L, G] | ends of lanes with a stop or give-way line |
+    | `fork_s_m`, `fork_end_s_m`, `fork_turn` | [L, G] | connections through junctions |
+    """
+
+    def __init__(self, lanes: Iterable[Lane]) -> None:
+        self.lanes: dict[str, Lane] = {lane.id: lane for lane in lanes}
+        self.lines: list[ReferenceLine] = []
+        self._line_of_route: dict[Route, int] = {}
+        self._branches: dict[tuple[Route, Kind], tuple[int, ...]] = {}
+        self.xy_m: FloatArray = np.zeros((0, 2, 2))
+        self.yaw_rad: FloatArray = np.zeros((0, 2))
+        self.speed_limit_mps: FloatArray = np.zeros((0, 2))
+        self.curvature_per_m: FloatArray = np.zeros((0, 2))
+        self.count: IntArray = np.zeros(0, dtype=np.int64)
+        self.gate_s_m: FloatArray = np.zeros((0, MAX_FORKS))
+        self.gate_type: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
+        self.gate_signal: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
+        self.fork_s_m: FloatArray = np.zeros((0, MAX_FORKS))
+        self.fork_end_s_m: FloatArray = np.zeros((0, MAX_FORKS))
+        self.fork_turn: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
+        self._pair_row: IntArray = np.zeros((0, 0), dtype=np.int64)
+        self._pairs: FloatArray = np.zeros((64, MAX_CONFLICTS, 7))
+        self._pair_count = 0
+        self.shared: dict[str, Any] = {}  # what perception keeps for all predictors of this road
+
+    # -- lanes --------------------------------------------------------------------------------
+
+    @cached_property
+    def _predecessors(self) -> dict[str, list[str]]:
+        before: dict[str, list[str]] = {name: [] for name in self.lanes}
+        for lane in self.lanes.values():
+            for successor in lane.successors:
+                if successor in before:
+                    before[successor].append(lane.id)
+        return before
+
+    @cached_property
+    def _lane_samples(self) -> tuple[cKDTree, IntArray, FloatArray, tuple[str, ...]]:
+        """Points every 2 m of every lane, the lane of each and the lane's direction there."""
+        names = tuple(self.lanes)
+        points = [resample(self.lanes[name].xy_m, 2.0) for name in names]
+        owner = np.repeat(np.arange(len(names)), [len(p) for p in points])
+        yaw = np.concatenate([tangent_rad(p) for p in points])
+        return cKDTree(np.concatenate(points)), owner, yaw, names
+
+    def lanes_near(self, xy_m: FloatArray, yaw_rad: float, kind: Kind) -> list[str]:
+        """Lanes within `NEAR_M` and `NEAR_RAD` of a pose that a `kind` may use, nearest first."""
+        tree, owner, yaw, names = self._lane_samples
+        distance, found = tree.query(xy_m, k=min(64, len(owner)), distance_upper_bound=NEAR_M + 1.0)
+        out: list[str] = []
+        for away_m, sample in zip(np.atleast_1d(distance), np.atleast_1d(found), strict=True):
+            if not np.isfinite(away_m):
+                break
+            lane = self.lanes[names[owner[sample]]]
+            turned = abs(float(wrap_angle(np.asarray(yaw[sample] - yaw_rad))))
+            if lane.id not in out and turned <= NEAR_RAD and kind in lane.kinds:
+                out.append(lane.id)
+        return out
+
+    # -- lines --------------------------------------------------------------------------------
+
+    def line(self, route: Route) -> int:
+        """The index of the reference line along the lanes of `route`."""
+        index = self._line_of_route.get(route)
+        if index is None:
+            index = self._add_line(route)
+            self._line_of_route[route] = index
+        return index
+
+    def branches(self, prefix: Route, kind: Kind) -> tuple[int, ...]:
+        """Lines that begin with `prefix` and go on through every connection for `AHEAD_M`."""
+        key = (prefix, kind)
+        if key not in self._branches:
+            self._branches[key] = tuple(
+                self.line(route) for route in self._extend(prefix, kind)
+            )
+        return self._branches[key]
+
+    def prefix_to(self, lane_id: str, kind: Kind) -> Route:
+        """Lanes that lead to `lane_id`, the straightest first, for `BEHIND_M`, and itself."""
+        route, length_m = [lane_id], 0.0
+        while length_m < BEHIND_M:
+            before = [
+                name
+                for name in self._predecessors[route[0]]
+                if kind in self.lanes[name].kinds and name not in route
+            ]
+            if not before:
+                break
+            best = min(before, key=lambda name: (abs(self.lanes[name].turn), name))
+            route.insert(0, best)
+            length_m += _length_m(self.lanes[best])
+        return tuple(route)
+
+    def trim(self, route: Route, s_m: float) -> Route:
+        """The part of `route` from `BEHIND_M` before the arc length `s_m` to the lane at it."""
+        line = self.lines[self.line(route)]
+        start = line.lane_start_s_m
+        now = int(np.searchsorted(start, s_m, side="right")) - 1
+        first = int(np.searchsorted(start, max(s_m - BEHIND_M, 0.0), side="right")) - 1
+        return route[max(first, 0) : max(now, 0) + 1]
+
+    def _extend(self, prefix: Route, kind: Kind) -> list[Route]:
+        open_routes: list[tuple[float, Route]] = [(0.0, prefix)]
+        done: list[Route] = []
+        while open_routes:
+            length_m, route = open_routes.pop(0)
+            ahead = [
+                name
+                for name in self.lanes[route[-1]].successors
+                if name in self.lanes and kind in self.lanes[name].kinds and name not in route
+            ]
+            full = len(done) + len(open_routes) + len(ahead) > MAX_BRANCHES
+            if not ahead or length_m >= AHEAD_M or full:
+                done.append(route)
+                continue
+            open_routes += [
+                (length_m + _length_m(self.lanes[name]), (*route, name)) for name in ahead
+            ]
+            open_routes.sort()
+        return done
+
+    def _add_line(self, route: Route) -> int:
+        lanes = [self.lanes[name] for name in route]
+        lengths = np.array([_length_m(lane) for lane in lanes])
+        start_s_m = np.concatenate(([0.0], np.cumsum(lengths)[:-1]))
+        xy_m = resample(np.concatenate([lane.xy_m for lane in lanes]), LINE_STEP_M)
+        index = len(self.lines)
+        successors = lanes[-1].successors
+        self.lines.append(
+            ReferenceLine(index, route, xy_m, start_s_m, closed_end=not successors)
+        )
+        self._grow(index + 1, len(xy_m))
+        count = len(xy_m)
+        yaw_rad = tangent_rad(xy_m)
+        at_m = np.arange(count) * LINE_STEP_M
+        lane_at = np.clip(np.searchsorted(start_s_m, at_m, side="right") - 1, 0, len(lanes) - 1)
+        self.count[index] = count
+        self.xy_m[index, :count] = xy_m
+        self.xy_m[index, count:] = xy_m[-1]
+        self.yaw_rad[index, :count] = yaw_rad
+        self.yaw_rad[index, count:] = yaw_rad[-1]
+        limits = np.array([lane.speed_limit_mps for lane in lanes])[lane_at]
+        self.speed_limit_mps[index, :count] = limits
+        self.speed_limit_mps[index, count:] = limits[-1]
+        self.curvature_per_m[index, :count] = _smooth_curvature(yaw_rad)
+        self._add_gates(index, lanes, start_s_m, lengths)
+        return index
+
+    def _add_gates(
+        self, index: int, lanes: Sequence[Lane], start_s_m: FloatArray, lengths: FloatArray
+    ) -> None:
+        gate = fork = 0
+        for position, lane in enumerate(lanes):
+            end_s_m = start_s_m[position] + lengths[position]
+            following = lanes[position + 1].id if position + 1 < len(lanes) else None
+            if lane.gate is not Gate.NONE and gate < MAX_FORKS:
+                signals = lane.signals or {}
+                self.gate_s_m[index, gate] = end_s_m
+                self.gate_type[index, gate] = lane.gate
+                self.gate_signal[index, gate] = signals.get(following or "", -1)
+                gate += 1
+            if lane.is_connection and fork < MAX_FORKS:
+                self.fork_s_m[index, fork] = start_s_m[position]
+                self.fork_end_s_m[index, fork] = end_s_m
+                self.fork_turn[index, fork] = lane.turn
+                fork += 1
+
+    def _grow(self, lines: int, vertices: int) -> None:
+        rows, columns = self.yaw_rad.shape
+        if lines <= rows and vertices <= columns:
+            return
+        rows = max(rows, 32) if lines <= rows else max(32, 2 * lines)
+        columns = max(columns, int(1.25 * vertices) if vertices > columns else columns)
+        for name in ("xy_m", "yaw_rad", "speed_limit_mps", "curvature_per_m"):
+            old = getattr(self, name)
+            new = np.zeros((rows, columns, *old.shape[2:]))
+            new[: old.shape[0], : old.shape[1]] = old
+            new[: old.shape[0], old.shape[1] :] = old[:, -1:] if name != "curvature_per_m" else 0.0
+            setattr(self, name, new)
+        fills = {"gate_s_m": np.inf, "fork_s_m": np.inf, "fork_end_s_m": np.inf, "gate_signal": -1}
+        for name in ("gate_s_m", "gate_type", "gate_signal", "fork_s_m", "fork_end_s_m", "fork_turn"):
+            old = getattr(self, name)
+            new = np.full((rows, MAX_FORKS), fills.get(name, 0), dtype=old.dtype)
+            new[: old.shape[0]] = old
+            setattr(self, name, new)
+        self.count = np.concatenate((self.count, np.full(rows - len(self.count), 2)))
+        pair_row = np.full((rows, rows), -1, dtype=np.int64)
+        pair_row[: len(self._pair_row), : len(self._pair_row)] = self._pair_row
+        self._pair_row = pair_row
+
+    # -- coordinates --------------------------------------------------------------------------
+
+    def project(
+        self, line: IntArray, xy_m: FloatArray, guess_s_m: FloatArray, reach_m: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Frenet s, d [Q] of points [Q, 2] on lines [Q], searched within `reach_m` of a guess."""
+        vertices = int(2 * reach_m / LINE_STEP_M) + 2
+        index = window(self.count, line, guess_s_m - reach_m, vertices, LINE_STEP_M, 1)
+        vertex, _ = nearest_vertex(self.xy_m, line, xy_m, index)
+        return project_at(self.xy_m, self.count, LINE_STEP_M, line, xy_m, vertex)
+
+    def search(
+        self, line: IntArray, xy_m: FloatArray, low_s_m: FloatArray, reach_m: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Frenet s, d [Q] of points anywhere between `low_s_m` and `reach_m` further on."""
+        stride = 8
+        vertices = int(reach_m / (LINE_STEP_M * stride)) + 2
+        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, stride)
+        coarse, _ = nearest_vertex(self.xy_m, line, xy_m, index)
+        return self.project(line, xy_m, coarse * LINE_STEP_M, 0.75 * stride * LINE_STEP_M)
+
+    def coarse_distance_m(
+        self, line: IntArray, xy_m: FloatArray, low_s_m: FloatArray, reach_m: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """s [Q] and distance [Q] of the nearest of the vertices 4 m apart: a cheap first look."""
+        stride = 8
+        vertices = int(reach_m / (LINE_STEP_M * stride)) + 2
+        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, stride)
+        vertex, square = nearest_vertex(self.xy_m, line, xy_m, index)
+        return vertex * LINE_STEP_M, np.sqrt(square)
+
+    def line_yaw_rad(self, line: IntArray, s_m: FloatArray) -> FloatArray:
+        """Direction of lines [Q] at arc lengths [Q, ...]."""
+        return interpolate(self.yaw_rad, line, s_m / LINE_STEP_M)
+
+    def locate(self, line: IntArray, s_m: FloatArray, d_m: FloatArray) -> FloatArray:
+        """Map positions [Q, ..., 2] of Frenet coordinates [Q, ...]; drawn out straight at ends."""
+        position = s_m / LINE_STEP_M
+        last = self.count[line] - 1.0
+        last = last.reshape(last.shape + (1,) * (position.ndim - last.ndim))
+        beyond_m = (np.maximum(position - last, 0.0) + np.minimum(position, 0.0)) * LINE_STEP_M
+        at = np.clip(position, 0.0, last)
+        yaw = interpolate(self.yaw_rad, line, at)
+        xy = interpolate(self.xy_m, line, at)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        dx = beyond_m * cos - d_m * sin
+        dy = beyond_m * sin + d_m * cos
+        return xy + np.stack((dx, dy), axis=-1)
+
+    # -- conflicts ----------------------------------------------------------------------------
+
+    def conflicts(self, first: int, second: int) -> tuple[Conflict, ...]:
+        """The conflicts of two lines in order along the first, s on (first, second)."""
+        return find_conflicts(
+            self.xy_m[first, : self.count[first]],
+            self.yaw_rad[first, : self.count[first]],
+            self.xy_m[second, : self.count[second]],
+            self.yaw_rad[second, : self.count[second]],
+            LINE_STEP_M,
+        )
+
+    def conflict_table(self, first: IntArray, second: IntArray) -> FloatArray:
+        """Conflicts of line pairs [Q] as an array [Q, MAX_CONFLICTS, 7], padded with inf.
+
+        Columns: entry, point, exit on the first line, the same on the second, ConflictType.
+        """
+        row = self._pair_row[first, second]
+        if (row < 0).any():
+            missing = np.unique(np.stack((first[row < 0], second[row < 0]), axis=1), axis=0)
+            for one, other in missing.tolist():
+                if self._pair_row[one, other] < 0:
+                    self._add_pair(one, other)
+            row = self._pair_row[first, second]
+        return self._pairs[row]
+
+    def _add_pair(self, first: int, second: int) -> None:
+        if self._pair_count + 2 > len(self._pairs):
+            self._pairs = np.concatenate((self._pairs, np.zeros_like(self._pairs)))
+        found = () if first == second else self.conflicts(first, second)
+        for one, other, side in ((first, second, 0), (second, first, 1)):
+            rows = np.full((MAX_CONFLICTS, 7), np.inf)
+            ordered = sorted(found, key=lambda conflict: conflict.point_s_m[side])
+            for k, c in enumerate(ordered[:MAX_CONFLICTS]):
+                rows[k] = (
+                    *(c.entry_s_m[side], c.point_s_m[side], c.exit_s_m[side]),
+                    *(c.entry_s_m[1 - side], c.point_s_m[1 - side], c.exit_s_m[1 - side]),
+                    float(c.type),
+                )
+            self._pairs[self._pair_count] = rows
+            self._pair_row[one, other] = self._pair_count
+            self._pair_count += 1
+
+
+def _length_m(lane: Lane) -> float:
+    return float(np.linalg.norm(np.diff(lane.xy_m, axis=0), axis=1).sum())
+
+
+def _smooth_curvature(yaw_rad: FloatArray) -> FloatArray:
+    """Change of direction per metre, averaged over 4 m: lanes come as polylines with corners."""
+    raw = np.gradient(yaw_rad, LINE_STEP_M)
+    kernel = np.full(9, 1.0 / 9.0)
+    padded = np.concatenate((np.full(4, raw[0]), raw, np.full(4, raw[-1])))
+    return np.convolve(padded, kernel, mode="valid")

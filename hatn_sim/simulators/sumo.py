@@ -1,0 +1,186 @@
+"""SUMO as a `Simulator`: one worker process per run, frames over a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hatn_sim.datatypes import DT_S, Command, Frame, Lane, Route, Scene, Truth
+from hatn_sim.errors import InputError, SimulatorError
+from hatn_sim.simulators.sumo_config import start_options
+from hatn_sim.simulators.sumo_lanes import lanes_of
+from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
+from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError
+
+if TYPE_CHECKING:
+    from hatn_sim.config import Scenario
+    from hatn_sim.road import Road
+
+MAX_SEED = 2**31 - 1
+
+
+class SumoSimulator:
+    """A SUMO scene at 0.1 s a step.
+
+    Every `reset` starts SUMO in a fresh process (a quarter of a second), so that nothing of the
+    run before is left: the same seed gives the same frames bit for bit. A context manager; `close`
+    may be called again.
+
+    A vehicle with a `Command` takes that acceleration exactly, whatever SUMO's own driver thinks
+    of it (speed mode 32: no safe gap, no right of way, no limit of the vehicle's); lane changes
+    stay SUMO's. In the first step without a command the vehicle is SUMO's again.
+
+    `notices` are lines for the user on what was done to the scene's configuration to run it.
+    """
+
+    def __init__(self, scenario: Scenario, extra_options: Sequence[str] = ()) -> None:
+        """`extra_options` are words of SUMO's command line that override the scene's.
+
+        Raises InputError where the scene's configuration is at fault.
+        """
+        self.scenario = scenario
+        options, self.notices = start_options(scenario)
+        self._options = (*options, *extra_options)
+        self._worker: SumoWorker | None = None
+        self._lanes: list[Lane] | None = None
+        self._road: Road | None = None
+        self._routes: list[Route] = []
+        self._seed = 0
+        self._time_s = 0.0
+
+    @property
+    def dt_s(self) -> float:
+        return DT_S
+
+    @property
+    def lanes(self) -> list[Lane]:
+        """The lanes of the net, those for pedestrians only excepted."""
+        if self._lanes is None:
+            self.reset(0)
+            self.close()
+        assert self._lanes is not None
+        return self._lanes
+
+    @property
+    def road(self) -> Road:
+        """The road of the net. Asked for before the first `reset`, it takes a start of SUMO."""
+        if self._road is None:
+            from hatn_sim.road import Road
+
+            self._road = Road(self.lanes)
+        return self._road
+
+    @property
+    def worker_pid(self) -> int | None:
+        """The id of the process in which SUMO runs now."""
+        return None if self._worker is None else self._worker.pid
+
+    def reset(self, seed: int) -> Frame:
+        """Starts anew at the scene's begin, before the first vehicle enters.
+
+        Raises InputError where SUMO refuses the configuration, or where there is nothing to drive
+        on or nobody to drive; SimulatorError where SUMO dies.
+        """
+        if not 0 <= seed <= MAX_SEED:
+            raise InputError(f"seed: expected 0 to {MAX_SEED}, found {seed}")
+        self.close()
+        self._seed, self._time_s = seed, 0.0
+        self._routes = []
+        self._worker = SumoWorker()
+        answer = self._ask((*self._options, "--seed", str(seed)))
+        if isinstance(answer, Refused):
+            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
+            self.close()
+            raise InputError(f"{self.scenario.config_path}: SUMO refuses it: {reason}")
+        assert isinstance(answer, Started)
+        if self._lanes is None:
+            self._lanes = lanes_of(answer.lane_table)
+        self._check_scene(answer.frame)
+        return self._frame(answer.frame)
+
+    def step(self, commands: Sequence[Command] = ()) -> Frame:
+        """Lets 0.1 s pass. Commands for vehicles not on the road are without effect.
+
+        Raises SimulatorError where SUMO fails or dies; the simulator is closed then.
+        """
+        if self._worker is None:
+            raise SimulatorError("SUMO is not running: call reset(seed) first")
+        answer = self._ask([(command.ego_id, command.acceleration_mps2) for command in commands])
+        if isinstance(answer, Failed):
+            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
+            raise self._stopped(reason)
+        assert isinstance(answer, RawFrame)
+        return self._frame(answer)
+
+    def close(self) -> None:
+        """Ends SUMO and its process."""
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.close()
+
+    def __enter__(self) -> SumoSimulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _ask(self, message: object) -> object:
+        assert self._worker is not None
+        try:
+            return self._worker.ask(message)
+        except WorkerDiedError as error:
+            raise self._stopped(str(error)) from None
+        except BaseException:
+            self.close()  # ctrl-C between question and answer: the pipe is out of step
+            raise
+
+    def _stopped(self, reason: str) -> SimulatorError:
+        self.close()
+        return SimulatorError(
+            f"SUMO stopped in {self.scenario.name} at {self._time_s:.1f} s "
+            f"(seed {self._seed}): {reason}"
+        )
+
+    def _check_scene(self, frame: RawFrame) -> None:
+        assert self._lanes is not None
+        fault = None
+        if not any(lane.successors for lane in self._lanes):
+            fault = "its net has no junction: expected lanes that lead to other lanes"
+        elif frame.done and not frame.ids:
+            fault = "it has no vehicles: expected some in its route files after its begin"
+        if fault is not None:
+            self.close()
+            raise InputError(f"{self.scenario.config_path}: {fault}; correct the scene")
+
+    def _frame(self, raw: RawFrame) -> Frame:
+        self._time_s = raw.time_s
+        self._routes.extend(raw.new_routes)
+        rows = raw.rows
+        numbers = rows[:, 7:11].astype(np.int64)
+        scene = Scene(
+            time_s=raw.time_s,
+            ids=raw.ids,
+            xy_m=rows[:, 0:2].copy(),
+            yaw_rad=rows[:, 2].copy(),
+            speed_mps=rows[:, 3].copy(),
+            size_m=rows[:, 5:7].copy(),
+            kind=numbers[:, 0].copy(),
+            colour=numbers[:, 1:4].copy(),
+            blinker=rows[:, 4].astype(np.int64),
+            signal_closed=raw.signal_closed,
+        )
+        truth = Truth(
+            routes=tuple(self._routes[index] if index >= 0 else None for index in raw.routes),
+            collisions=raw.collisions,
+            emergency_braking=raw.emergency_braking,
+            departed=raw.departed,
+            arrived=raw.arrived,
+            teleported=raw.teleported,
+        )
+        return Frame(scene=scene, truth=truth, done=raw.done)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

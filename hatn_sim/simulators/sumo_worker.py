@@ -1,0 +1,294 @@
+"""The process in which SUMO lives: `python -m hatn_sim.simulators.sumo_worker`.
+
+It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_process.py` in pickles
+over its standard input and output. The first message it reads are SUMO's options; it answers with
+`Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
+commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
+It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import libsumo
+import numpy as np
+
+from hatn_sim.datatypes import Kind
+from hatn_sim.simulators.sumo_lanes import (
+    CLOSED_SIGNALS,
+    KIND_OF_CLASS,
+    LaneTable,
+    Link,
+    kinds_of,
+)
+from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
+from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
+
+OBEY_SPEED_MODE = 32
+"""All of SUMO's checks off (safe gap, acceleration limits, right of way, red lights): a commanded
+vehicle does what it is told, into a collision if need be."""
+OWN_SPEED_MODE = 31
+"""All checks on: SUMO's own driver."""
+INVALID_M = -1e9
+"""SUMO gives coordinates below this where a vehicle is nowhere (while it teleports)."""
+SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
+"""Of a vehicle without a colour of its own; its type's counts then."""
+PEDESTRIAN_PREFIX = "person:"
+"""Persons and vehicles may bear the same name; in a scene no two road users may."""
+
+
+def read_lane_table() -> LaneTable:
+    """Every lane of the running simulation's net, those for pedestrians only left out."""
+    lane = libsumo.lane
+    kinds = {lane_id: _allowed_kinds(lane_id) for lane_id in lane.getIDList()}
+    ids = tuple(key for key, value in kinds.items() if value - {Kind.PEDESTRIAN})
+    signals = _signal_indices()
+    shapes = [lane.getShape(lane_id) for lane_id in ids]
+    links: list[tuple[Link, ...]] = []
+    for lane_id in ids:
+        own: list[Link] = []
+        for approached, _, _, _, via, state, direction, _ in lane.getLinks(lane_id):
+            successor = via or approached
+            if kinds[successor] - {Kind.PEDESTRIAN}:
+                own.append(Link(successor, state, direction, signals.get((lane_id, approached))))
+        links.append(tuple(own))
+    return LaneTable(
+        ids=ids,
+        point_counts=tuple(len(shape) for shape in shapes),
+        xy_m=np.array([point[:2] for shape in shapes for point in shape], np.float64).reshape(
+            -1, 2
+        ),
+        length_m=tuple(lane.getLength(lane_id) for lane_id in ids),
+        width_m=tuple(lane.getWidth(lane_id) for lane_id in ids),
+        speed_limit_mps=tuple(lane.getMaxSpeed(lane_id) for lane_id in ids),
+        kinds=tuple(kinds[lane_id] for lane_id in ids),
+        links=tuple(links),
+    )
+
+
+def _allowed_kinds(lane_id: str) -> frozenset[Kind]:
+    allowed = libsumo.lane.getAllowed(lane_id)
+    if allowed:
+        return kinds_of(allowed)
+    # SUMO says nothing both where all are allowed and where nobody is.
+    return frozenset() if libsumo.lane.getDisallowed(lane_id) else frozenset(Kind)
+
+
+def _signal_indices() -> dict[tuple[str, str], int]:
+    """(lane, lane approached) -> index of its signal among those of all traffic lights."""
+    indices: dict[tuple[str, str], int] = {}
+    offset = 0
+    for light in libsumo.trafficlight.getIDList():
+        groups = libsumo.trafficlight.getControlledLinks(light)
+        for place, group in enumerate(groups):
+            for source, target, _ in group:
+                indices[source, target] = offset + place
+        offset += len(libsumo.trafficlight.getRedYellowGreenState(light))
+    return indices
+
+
+class Simulation:
+    """The one simulation of this process, from the start on."""
+
+    def __init__(self, options: Sequence[str]) -> None:
+        libsumo.start(["sumo", *options])
+        self.lane_table = read_lane_table()
+        self._tracker = RouteTracker(
+            LaneGraph(self.lane_table), _edges_and_lanes, _gap_to_lane_end_m
+        )
+        self._routes_sent = 0
+        self._lights: tuple[str, ...] = libsumo.trafficlight.getIDList()
+        self._looks: dict[str, tuple[float, ...]] = {}
+        self._commanded: set[str] = set()
+        end_s = libsumo.simulation.getEndTime()
+        self._end_s = end_s if end_s >= 0 else float("inf")
+
+    def step(self, commands: Sequence[tuple[str, float]]) -> None:
+        """Lets 0.1 s pass. Vehicles no longer commanded are given back to SUMO's driver."""
+        if commands or self._commanded:
+            self._command(commands)
+        libsumo.simulationStep()
+
+    def _command(self, commands: Sequence[tuple[str, float]]) -> None:
+        present = set(libsumo.vehicle.getIDList())
+        dt_s = libsumo.simulation.getDeltaT()
+        accelerations = {vehicle: value for vehicle, value in commands if vehicle in present}
+        for vehicle in (self._commanded - accelerations.keys()) & present:
+            libsumo.vehicle.setSpeed(vehicle, -1.0)
+            libsumo.vehicle.setSpeedMode(vehicle, OWN_SPEED_MODE)
+        for vehicle, acceleration_mps2 in accelerations.items():
+            if vehicle not in self._commanded:
+                libsumo.vehicle.setSpeedMode(vehicle, OBEY_SPEED_MODE)
+            speed_mps = libsumo.vehicle.getSpeed(vehicle) + acceleration_mps2 * dt_s
+            libsumo.vehicle.setSpeed(vehicle, max(speed_mps, 0.0))
+        self._commanded = set(accelerations)
+
+    def observe(self) -> RawFrame:
+        """What is on the road now."""
+        simulation = libsumo.simulation
+        arrived = tuple(simulation.getArrivedIDList())
+        for vehicle in arrived:
+            self._tracker.forget(vehicle)
+            self._looks.pop(vehicle, None)
+        ids, rows, routes = self._vehicles()
+        persons = frozenset(libsumo.person.getIDList()).difference(ids)
+        self._add_pedestrians(ids, rows, routes)
+        new_routes = tuple(self._tracker.routes[self._routes_sent :])
+        self._routes_sent += len(new_routes)
+        time_s = simulation.getTime()
+        return RawFrame(
+            time_s=time_s,
+            ids=tuple(ids),
+            rows=_centred(np.array(rows, np.float64).reshape(len(ids), 11)),
+            routes=tuple(routes),
+            new_routes=new_routes,
+            signal_closed=np.array(
+                [
+                    state in CLOSED_SIGNALS
+                    for light in self._lights
+                    for state in libsumo.trafficlight.getRedYellowGreenState(light)
+                ],
+                np.bool_,
+            ),
+            collisions=_collisions(persons),
+            emergency_braking=tuple(simulation.getEmergencyStoppingVehiclesIDList()),
+            departed=tuple(simulation.getDepartedIDList()),
+            arrived=arrived,
+            teleported=tuple(simulation.getStartingTeleportIDList()),
+            done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
+        )
+
+    def _vehicles(self) -> tuple[list[str], list[tuple[float, ...]], list[int]]:
+        vehicle = libsumo.vehicle
+        get_position, get_angle, get_speed = (
+            vehicle.getPosition, vehicle.getAngle, vehicle.getSpeed,
+        )  # fmt: skip
+        get_signals, get_lane, get_route = (
+            vehicle.getSignals, vehicle.getLaneID, vehicle.getRouteID,
+        )  # fmt: skip
+        looks, route_index = self._looks, self._tracker.index
+        ids: list[str] = []
+        rows: list[tuple[float, ...]] = []
+        routes: list[int] = []
+        for name in vehicle.getIDList():
+            x_m, y_m = get_position(name)
+            if x_m < INVALID_M:
+                continue
+            look = looks.get(name)
+            if look is None:
+                look = looks[name] = _look(vehicle, name)
+            signals = get_signals(name)
+            blinker = (signals >> 1 & 1) - (signals & 1)
+            ids.append(name)
+            rows.append((x_m, y_m, get_angle(name), get_speed(name), blinker, *look))
+            routes.append(route_index(name, get_lane(name), get_route(name)))
+        return ids, rows, routes
+
+    @staticmethod
+    def _add_pedestrians(ids: list[str], rows: list[tuple[float, ...]], routes: list[int]) -> None:
+        """Appends the persons on foot."""
+        person = libsumo.person
+        for name in person.getIDList():
+            x_m, y_m = person.getPosition(name)
+            if x_m < INVALID_M or person.getVehicle(name):
+                continue
+            ids.append(PEDESTRIAN_PREFIX + name)
+            look = _look(person, name)
+            rows.append((x_m, y_m, person.getAngle(name), person.getSpeed(name), 0, *look))
+            routes.append(-1)
+
+
+def _look(domain: Any, name: str) -> tuple[float, ...]:
+    """Length, width, kind, red, green, blue of a vehicle or person."""
+    if domain is libsumo.person:
+        kind = Kind.PEDESTRIAN
+    else:
+        kind = KIND_OF_CLASS.get(domain.getVehicleClass(name), Kind.OTHER)
+    colour = domain.getColor(name)
+    if colour == SUMO_DEFAULT_COLOUR:
+        colour = libsumo.vehicletype.getColor(domain.getTypeID(name))
+    red, green, blue = colour[:3]
+    return (float(domain.getLength(name)), float(domain.getWidth(name)), kind, red, green, blue)
+
+
+def _centred(rows: np.ndarray) -> np.ndarray:
+    """Turns SUMO's front bumper and compass angle into box centre and yaw, in place."""
+    yaw = np.radians(90.0 - rows[:, 2])
+    yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)
+    rows[:, 0] -= 0.5 * rows[:, 5] * np.cos(yaw)
+    rows[:, 1] -= 0.5 * rows[:, 5] * np.sin(yaw)
+    rows[:, 2] = yaw
+    return rows
+
+
+def _collisions(persons: frozenset[str]) -> tuple[tuple[str, str], ...]:
+    pairs: set[tuple[str, str]] = set()
+    for collision in libsumo.simulation.getCollisions():
+        victim = collision.victim
+        if victim in persons:
+            victim = PEDESTRIAN_PREFIX + victim
+        first, second = sorted((collision.collider, victim))
+        pairs.add((first, second))
+    return tuple(sorted(pairs))
+
+
+def _edges_and_lanes(vehicle: str) -> tuple[Sequence[str], set[str]]:
+    edges = libsumo.vehicle.getRoute(vehicle)[libsumo.vehicle.getRouteIndex(vehicle) + 1 :]
+    return edges, {link[0] for link in libsumo.vehicle.getNextLinks(vehicle)}
+
+
+def _gap_to_lane_end_m(vehicle: str) -> float:
+    lane_id = libsumo.vehicle.getLaneID(vehicle)
+    length_m: float = libsumo.lane.getLength(lane_id)
+    position_m: float = libsumo.vehicle.getLanePosition(vehicle)
+    return length_m - position_m
+
+
+def main() -> None:
+    """Serves one simulation over the pipes, until they close."""
+    # Ctrl-C reaches the whole process group; whoever runs us decides when to end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    requests = sys.stdin.buffer
+    with os.fdopen(os.dup(1), "wb") as replies:
+        silence = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silence, 1)  # SUMO prints there too; only our messages may enter the pipe
+        try:
+            _serve(requests, replies)
+        except (EOFError, BrokenPipeError):
+            return  # nobody is listening any more
+
+
+def _serve(requests: Any, replies: Any) -> None:
+    def reply(message: object) -> None:
+        pickle.dump(message, replies, protocol=5)
+        replies.flush()
+
+    options = pickle.load(requests)
+    try:
+        simulation = Simulation(options)
+    except libsumo.TraCIException as error:
+        reply(Refused(str(error)))
+        return
+    try:
+        reply(Started(simulation.lane_table, simulation.observe()))
+        while True:
+            commands = pickle.load(requests)
+            try:
+                simulation.step(commands)
+                frame = simulation.observe()
+            except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+                reply(Failed(str(error)))
+                return
+            reply(frame)
+    finally:
+        libsumo.close()  # finishes the output files that a user's configuration asks for
+
+
+if __name__ == "__main__":
+    main()

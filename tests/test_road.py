@@ -1,0 +1,154 @@
+"""Geometry, lines and conflicts against answers by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import crossing_lanes, lane
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hatn_sim.datatypes import ConflictType, Kind
+from hatn_sim.geometry import resample, tangent_rad, wrap_angle
+from hatn_sim.road import LINE_STEP_M, Road
+
+WEST_EAST = ("w", "we", "e")
+SOUTH_NORTH = ("s", "sn", "n")
+WEST_NORTH = ("w", "wn", "n")
+
+
+def test_resampling_keeps_arc_length_and_draws_the_last_step_out() -> None:
+    xy = resample(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [3.0, 6.2]]), 0.5)
+    assert len(xy) == 16  # 7.2 m: 15 steps, the last one to 7.5 m
+    np.testing.assert_allclose(xy[10], [3.0, 4.0])
+    np.testing.assert_allclose(xy[-1], [3.0, 6.5])
+    np.testing.assert_allclose(tangent_rad(xy)[[2, -1]], [np.arctan2(4, 3), np.pi / 2])
+
+
+@pytest.mark.parametrize(
+    ("angle", "expected"), [(0.0, 0.0), (np.pi, -np.pi), (3 * np.pi, -np.pi), (-4.0, 2.2831853)]
+)
+def test_angles_are_wrapped(angle: float, expected: float) -> None:
+    np.testing.assert_allclose(wrap_angle(np.array(angle)), expected)
+
+
+def test_a_crossing_by_hand(crossing: Road) -> None:
+    (found,) = crossing.conflicts(crossing.line(WEST_EAST), crossing.line(SOUTH_NORTH))
+    assert found.type is ConflictType.CROSS
+    # Both lines reach the origin after 108 m; they are within 1.8 m for 1.8 m to either side.
+    np.testing.assert_allclose(found.point_s_m, (108.0, 108.0), atol=0.11)
+    np.testing.assert_allclose(found.entry_s_m, (106.2, 106.2), atol=0.11)
+    np.testing.assert_allclose(found.exit_s_m, (109.8, 109.8), atol=0.11)
+
+
+def test_a_merge_by_hand(crossing: Road) -> None:
+    (found,) = crossing.conflicts(crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH))
+    assert found.type is ConflictType.MERGE
+    # On the arc x = -8 + 8 sin t: 1.8 m west of the line north where sin t = 6.2 / 8.
+    t = np.arcsin(6.2 / 8.0)
+    np.testing.assert_allclose(found.entry_s_m[0], 100.0 + 8.0 * t, atol=0.15)
+    # The arc's nearest point to (0, y): within 1.8 m of the circle of radius 8 round (-8, 8).
+    y = 8.0 - np.sqrt(9.8**2 - 8.0**2)
+    np.testing.assert_allclose(found.entry_s_m[1], 108.0 + y, atol=0.15)
+    assert found.point_s_m == found.entry_s_m
+    assert found.exit_s_m[1] > 250.0  # together to the end
+
+
+def test_diverging_is_no_conflict(crossing: Road) -> None:
+    assert crossing.conflicts(crossing.line(WEST_EAST), crossing.line(WEST_NORTH)) == ()
+
+
+def test_opposite_directions_and_neighbours_are_no_conflict() -> None:
+    road = Road(
+        [
+            lane("east", [(0, 0), (100, 0)]),
+            lane("west", [(100, 1.0), (0, 1.0)]),
+            lane("beside", [(0, 3.2), (100, 3.2)]),
+            lane("near", [(0, -1.5), (100, -1.5)]),
+        ]
+    )
+    east = road.line(("east",))
+    for other in ("west", "beside", "near"):
+        assert road.conflicts(east, road.line((other,))) == (), other
+
+
+def test_two_lines_may_conflict_twice() -> None:
+    t = np.linspace(0.0, 2.5 * np.pi, 300)
+    wave = list(zip(20.0 * t, 8.0 * np.sin(t), strict=True))
+    road = Road([lane("straight", [(-10, 0), (170, 0)]), lane("wave", wave)])
+    found = road.conflicts(road.line(("straight",)), road.line(("wave",)))
+    # The wave begins within the straight line's corridor, heading 22 degrees off: they diverge.
+    assert [round(c.point_s_m[0]) for c in found] == [10 + round(20 * np.pi), 10 + round(40 * np.pi)]
+
+
+def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None:
+    first = np.array([crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH)])
+    table = crossing.conflict_table(first, first[::-1])
+    np.testing.assert_array_equal(table[0, 0, :3], table[1, 0, 3:6])
+    np.testing.assert_array_equal(table[0, 0, 3:6], table[1, 0, :3])
+    assert np.isinf(table[:, 1:]).all()
+
+
+@given(
+    s=st.floats(1.0, 250.0),
+    d=st.floats(-3.0, 3.0),
+    angle=st.floats(-3.0, 3.0),
+    shift=st.tuples(st.floats(-500, 500), st.floats(-500, 500)),
+)
+def test_frenet_and_back(s: float, d: float, angle: float, shift: tuple[float, float]) -> None:
+    road = Road(crossing_lanes(angle, shift))
+    line = np.array([road.line(WEST_NORTH)])
+    there = road.locate(line, np.array([s]), np.array([d]))
+    back_s, back_d = road.project(line, there, np.array([s]), 3.0)
+    # At 0.5 m a vertex the arc of 8 m radius has corners of 3.6 degrees.
+    np.testing.assert_allclose([back_s[0], back_d[0]], [s, d], atol=0.12)
+    found_s, _ = road.search(line, there, np.zeros(1), 270.0)
+    np.testing.assert_allclose(found_s, back_s, atol=0.02)
+
+
+def test_projection_agrees_with_shapely_if_it_is_there(crossing: Road) -> None:
+    shapely = pytest.importorskip("shapely")
+    index = crossing.line(WEST_NORTH)
+    curve = shapely.LineString(crossing.xy_m[index, : crossing.count[index]])
+    random = np.random.default_rng(3)
+    xy = np.column_stack((random.uniform(-60, 4, 200), random.uniform(-4, 60, 200)))
+    line = np.full(200, index)
+    s, d = crossing.search(line, xy, np.zeros(200), 270.0)
+    distance = shapely.distance(curve, shapely.points(xy))
+    near = distance < 3.5
+    assert near.sum() > 20
+    np.testing.assert_allclose(np.abs(d[near]), distance[near], atol=1e-6)
+    expected_s = shapely.line_locate_point(curve, shapely.points(xy))
+    length = shapely.length(curve)
+    scale = (crossing.count[index] - 1) * LINE_STEP_M / length  # chords are shorter than arcs
+    np.testing.assert_allclose(s[near], expected_s[near] * scale, atol=0.15)
+
+
+def test_branches_follow_every_connection_a_kind_may_use() -> None:
+    lanes = crossing_lanes()
+    only_trams = frozenset({Kind.TRAM})
+    lanes = [
+        one if one.id != "wn" else type(one)(**{**one.__dict__, "kinds": only_trams})
+        for one in lanes
+    ]
+    road = Road(lanes)
+    routes = {road.lines[k].route for k in road.branches(("w",), Kind.CAR)}
+    assert routes == {WEST_EAST}
+    routes = {road.lines[k].route for k in road.branches(("w",), Kind.TRAM)}
+    assert routes == {WEST_EAST, WEST_NORTH}
+
+
+def test_gates_and_forks_lie_where_the_lanes_end(crossing: Road) -> None:
+    index = crossing.line(WEST_NORTH)
+    np.testing.assert_allclose(crossing.gate_s_m[index, 0], 100.0)
+    np.testing.assert_allclose(crossing.fork_s_m[index, 0], 100.0)
+    np.testing.assert_allclose(crossing.fork_end_s_m[index, 0], 100.0 + 4.0 * np.pi, atol=0.01)
+    assert crossing.fork_turn[index, 0] == 1
+    assert np.isinf(crossing.gate_s_m[index, 1:]).all()
+
+
+def test_curvature_is_that_of_the_arc(crossing: Road) -> None:
+    index = crossing.line(WEST_NORTH)
+    middle = int((100.0 + 2.0 * np.pi) / LINE_STEP_M)
+    np.testing.assert_allclose(crossing.curvature_per_m[index, middle], 1.0 / 8.0, rtol=0.03)
+    assert abs(crossing.curvature_per_m[index, 100]) < 1e-9
