@@ -7,6 +7,7 @@ Exit codes: 0 done, 1 the simulator or the machine failed, 2 something handed in
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -44,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         code: int = import_module(f"hatn_sim.commands.{parsed.verb}").main(parsed)
+        sys.stdout.flush()
         return code
     except HatnSimError as error:
         print(f"hatn-sim: {error}", file=sys.stderr)
@@ -52,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("hatn-sim: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
+        # Nobody reads on (`| head`); what Python would still flush at its end goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
 

@@ -50,15 +50,13 @@ def find_conflicts(
     if not near.any():
         return ()
     labels, _ = ndimage.label(near, structure=np.ones((3, 3)))
-    turned = np.abs(
-        wrap_angle(first_yaw_rad[::_COARSE][:, None] - second_yaw_rad[::_COARSE][None, :])
-    )
+    one_yaw, other_yaw = first_yaw_rad[::_COARSE], second_yaw_rad[::_COARSE]
     found: list[Conflict] = []
     for number, box in enumerate(ndimage.find_objects(labels), start=1):
         member = labels[box] == number
         conflict = _classify(
             np.where(member, distance[box], np.inf),
-            turned[box],
+            np.abs(wrap_angle(one_yaw[box[0]][:, None] - other_yaw[box[1]][None, :])),
             (box[0].start, box[1].start),
             distance.shape,
             coarse_m,

@@ -24,6 +24,7 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.perception import Motion, Perception, motion_along
 from hatn_sim.road import LINE_STEP_M, MAX_CONFLICTS, Road
+from hatn_sim.speed_profile import ACCELERATION_MPS2, allowed_speed_mps, free_travel_m
 
 INTERACTION_M: Final = 60.0
 """Conflicts nearer than this to both vehicles are active."""
@@ -39,13 +40,10 @@ AHEAD_AT_M: Final = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50
 CONTEXT: Final = (
     *(f"speed_limit_mps at {at:g} m" for at in AHEAD_AT_M),
     *(f"curvature_per_m at {at:g} m" for at in AHEAD_AT_M),
+    "free_travel_m of the rear vehicle in 3 s",
     "waited_s of the rear vehicle",
     "waited_s of the ego",
     "length_m of the rear vehicle",
-    "front is a vehicle",
-    "front is a stop line or closed signal",
-    "front is the conflict",
-    "front is free",
     "gate ahead of the rear vehicle before the conflict",
     "gate ahead of the ego before the conflict",
     "conflict is a merge",
@@ -55,9 +53,14 @@ CONTEXT: Final = (
     "distance_m of the rear vehicle to its leader, up to FREE_M",
     "speed_mps of the leader of the rear vehicle",
     "leader there",
+    "earliest_s of the rear vehicle at the conflict, up to FAR_S",
+    "earliest_s of the ego at the node's conflict, up to FAR_S",
 )
 """The last axis of `SemanticGraphs.context`: what holds now, beyond the paper's seven features."""
 CONTEXT_SIZE: Final = len(CONTEXT)
+ROAD_CONTEXT: Final = 2 * len(AHEAD_AT_M) + 1
+"""The first entries are of the road ahead, the others of the interaction."""
+FAR_S: Final = 10.0
 
 
 def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
@@ -68,7 +71,7 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
     has_conflict = node_mask[:, 1:].any(axis=1)
     front, front_type, front_s = _fronts(road, seen, rear, rear_m, node_mask, has_conflict)
     x, history = _features(road, seen, rear, rear_m, front, front_type, front_s, node_mask)
-    context = _context(road, seen, ego, rear, (ego_m, rear_m), front_type, focus, kind, node_mask)
+    context = _context(road, seen, ego, rear, (ego_m, rear_m), focus, kind, node_mask)
     point_xy = road.locate(
         np.repeat(seen.lines.line[ego], MAX_NODES), conflict_s.ravel(), np.zeros(conflict_s.size)
     ).reshape(*conflict_s.shape, 2)
@@ -242,7 +245,6 @@ def _context(
     ego: IntArray,
     rear: IntArray,
     to_conflict_m: tuple[FloatArray, FloatArray],
-    front_type: IntArray,
     focus: BoolArray,
     kind: IntArray,
     node_mask: BoolArray,
@@ -251,12 +253,14 @@ def _context(
     scene, lines = seen.scene, seen.lines
     at = np.maximum(rear, 0)
     safe = np.maximum(lines.line, 0)
-    profile = np.zeros((len(scene.ids), 2 * len(AHEAD_AT_M)))
+    profile = np.zeros((len(scene.ids), ROAD_CONTEXT))
     if len(road.count):
         index = ((lines.s_m[:, None] + np.array(AHEAD_AT_M)) / LINE_STEP_M).astype(np.int64)
         index = np.clip(index, 0, road.count[safe][:, None] - 1)
         profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[safe[:, None], index]
-        profile[:, len(AHEAD_AT_M) :] = road.curvature_per_m[safe[:, None], index]
+        profile[:, len(AHEAD_AT_M) : -1] = road.curvature_per_m[safe[:, None], index]
+        allowed = allowed_speed_mps(road, safe, lines.s_m)
+        profile[:, -1] = free_travel_m(allowed, seen.own.speed_mps[:, -1])
     gate_m = _next_gate_m(road, seen, (Gate.STOP_LINE, Gate.GIVE_WAY_LINE))
     to_gate = gate_m + 0.5 * scene.size_m[:, 0]
     acceleration = (seen.own.speed_mps[:, -1] - seen.own.speed_mps[:, -3]) / 0.2
@@ -272,7 +276,6 @@ def _context(
         seen.waited_s[at],
         seen.waited_s[ego_at],
         scene.size_m[at, 0],
-        *((front_type == value).astype(np.float64) for value in Front),
         (to_gate[at] <= to_conflict_m[1]).astype(np.float64),
         (to_gate[ego_at] <= to_conflict_m[0]).astype(np.float64),
         kind.astype(np.float64),
@@ -282,5 +285,17 @@ def _context(
         gap[at],
         lead_speed[at],
         has_leader[at].astype(np.float64),
+        _earliest_s(to_conflict_m[1], seen.own.speed_mps[at, -1]),
+        _earliest_s(to_conflict_m[0], seen.own.speed_mps[ego_at, -1]),
     ]
     return np.where(node_mask[:, :, None], np.stack(columns, axis=-1), 0.0)
+
+
+def _earliest_s(distance_m: FloatArray, speed_mps: FloatArray) -> FloatArray:
+    """Time to a place at `ACCELERATION_MPS2` from now on, 0 behind it, at most `FAR_S`.
+
+    Unlike distance over speed it is finite and smooth for a vehicle that stands.
+    """
+    speed = np.maximum(speed_mps, 0.0)
+    root = np.sqrt(speed**2 + 2.0 * ACCELERATION_MPS2 * np.maximum(distance_m, 0.0))
+    return np.minimum((root - speed) / ACCELERATION_MPS2, FAR_S)

@@ -264,7 +264,8 @@ def _score(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> FloatA
     seen = np.isfinite(cost)
     weight = np.where(seen, _evidence(tracks)[vehicle], 0.0)
     mean = (np.where(seen, cost, 0.0) * weight).sum(axis=1) / weight.sum(axis=1)
-    line, s = state.line[vehicle, slot], state.s_m[vehicle, slot]
+    line = state.line[vehicle, slot]
+    s = state.s_m[vehicle, slot] + 0.5 * scene.size_m[vehicle, 0]  # drivers signal from the front
     to_fork = road.fork_s_m[line] - s[:, None]  # [Q, forks]
     ahead = road.fork_end_s_m[line] > s[:, None]
     first = np.argmax(ahead, axis=1)

@@ -9,7 +9,16 @@ from typing import Any, Final, Literal
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.risk import encounters
 from hatn_sim.assist.suggest import SuggestionState, suggest
-from hatn_sim.datatypes import Advice, Agent, Command, Frame, Predictor, Simulator
+from hatn_sim.datatypes import (
+    Advice,
+    Agent,
+    Command,
+    Frame,
+    Prediction,
+    Predictor,
+    Scene,
+    Simulator,
+)
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.road import Road
 
@@ -48,10 +57,15 @@ def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState
 def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserState, Advice]:
     """Take in a frame and give advice: prediction, suggestions, alerts."""
     state = observe(adviser, state, frame)
-    prediction = adviser.predictor.predict(state.memory)
+    return advise(adviser, state, frame.scene, adviser.predictor.predict(state.memory))
+
+
+def advise(
+    adviser: Adviser, state: AdviserState, scene: Scene, prediction: Prediction
+) -> tuple[AdviserState, Advice]:
+    """What to make of a prediction: suggestions and alerts, where it has slots."""
     if prediction.graphs is None or prediction.slot_probability is None:
         return state, Advice(prediction, (), ())
-    scene = frame.scene
     meeting = encounters(scene, prediction)
     told, suggestions = suggest(state.suggestions, scene, prediction, meeting, adviser.egos)
     warned, alerts = alert(state.alerts, scene, prediction, meeting, adviser.egos)

@@ -36,6 +36,11 @@ def find_scenarios() -> dict[str, Path]:
     return {path.parent.name: path for path in sorted(scenarios_dir().glob("*/scenario.toml"))}
 
 
+def find_agents() -> dict[str, Path]:
+    """The example agents: name -> its file, by name."""
+    return {path.stem: path for path in sorted(agents_dir().glob("*.py"))}
+
+
 def _data_dir(name: str) -> Path:
     installed = PACKAGE_DIR / "_data" / name
     beside = PACKAGE_DIR.parent / name

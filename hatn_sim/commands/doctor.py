@@ -1,4 +1,7 @@
-"""Say what is installed, what is missing and how to get it. Exit code 1 if the core is incomplete."""
+"""Say what is installed, what is missing and how to get it.
+
+The exit code is 1 if something is missing that hatn-sim does not work without.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,17 @@ class Check:
     remedy: str
 
 
-_CORE = ("libsumo", "numpy", "scipy", "torch", "pyarrow", "safetensors", "matplotlib", "rich", "pillow")
+_CORE = (
+    "libsumo",
+    "numpy",
+    "scipy",
+    "torch",
+    "pyarrow",
+    "safetensors",
+    "matplotlib",
+    "rich",
+    "pillow",
+)
 _EXTRAS = {
     "eclipse-sumo": ("gui", "sumo-gui to watch, netconvert to build nets"),
     "gymnasium": ("rl", "environments for planners"),
@@ -89,7 +102,8 @@ def _starts_sumo() -> Check:
             simulator.reset(1)
             simulator.step()
     except HatnSimError as error:
-        return Check("SUMO worker", False, True, str(error), "pip install --force-reinstall libsumo")
+        remedy = "pip install --force-reinstall libsumo"
+        return Check("SUMO worker", False, True, str(error), remedy)
     return Check("SUMO worker", True, True, "starts, steps and ends", "")
 
 

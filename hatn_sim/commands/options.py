@@ -56,6 +56,11 @@ def whole_number(text: str) -> int:
     return value
 
 
+def whole_numbers(text: str) -> tuple[int, ...]:
+    """Whole numbers above 0, parted by commas."""
+    return tuple(whole_number(part.strip()) for part in text.split(","))
+
+
 def add_traffic(parser: argparse.ArgumentParser) -> None:
     """`--density` and `--risk` of a shipped scene."""
     parser.add_argument(

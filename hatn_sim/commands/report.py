@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """examples:
   hatn-sim report runs/intersection5-1
-  hatn-sim report runs/intersection5-1 --time 42.3 --ego car7
+  hatn-sim report runs/intersection5-1 --time 82.3 --ego car7
 """
 
 

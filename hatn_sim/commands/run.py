@@ -8,8 +8,10 @@ picture and an animation; the scores are printed at the end.
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Advice, Frame, Predictor, Score
     from hatn_sim.log import RunWriter
+    from hatn_sim.simulators.sumo import SumoSimulator
 
 EXAMPLES = """examples:
   hatn-sim run intersection5
@@ -89,39 +92,36 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.config import load_scenario
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
-    from hatn_sim.predictors.find import load_predictor
+    from hatn_sim.log.road_file import ROAD_FILE, write_road
     from hatn_sim.simulators.sumo import SumoSimulator
 
+    started = time.monotonic()
     scenario = load_scenario(arguments.scene, arguments.density, arguments.risk)
-    wanted = dict.fromkeys((arguments.predictor, *arguments.compare))
-    predictors = [load_predictor(name, arguments.weights) for name in wanted]
     if arguments.warm_up is None:
         arguments.warm_up = 0.0 if scenario.is_user_config else WARM_UP_S
     out: Path = arguments.out or _free_folder(scenario.name)
     _check_out(out)
-    started = time.monotonic()
-    with SumoSimulator(scenario) as simulator:
-        first = simulator.reset(arguments.seed)
-        header = make_header(arguments, scenario, predictors)
-        if not arguments.quiet:
-            for notice in simulator.notices:
-                print(f"hatn-sim: {notice}", file=sys.stderr)
-        from hatn_sim.log.road_file import write_road
-
-        with RunWriter(out, header) as writer:
-            try:
-                frames = _simulate(arguments, simulator, first, predictors, writer)
-                write_road(out, simulator.lanes)
-            except KeyboardInterrupt:
-                writer.close(finished=False)
-                print(f"hatn-sim: interrupted; the log up to here is in {out}", file=sys.stderr)
-                return 130
-            except SimulatorError as error:
-                writer.close(finished=False)
-                raise SimulatorError(
-                    f"{error}; repeat with `{header['command']}`; the log up to there is in {out}"
-                ) from None
-    return _finish(arguments, out, frames, started)
+    predictors = _load_predictors(arguments)
+    header = make_header(arguments, scenario, predictors)
+    where = ""
+    try:
+        with SumoSimulator(scenario) as simulator:
+            first = simulator.reset(arguments.seed)
+            if not arguments.quiet:
+                for notice in simulator.notices:
+                    print(f"hatn-sim: {notice}", file=sys.stderr)
+            with RunWriter(out, header) as writer:
+                where = f"; the log up to here is in {out}"
+                write_road(out / ROAD_FILE, simulator.lanes)
+                done = _simulate(arguments, simulator, first, predictors, writer)
+                timing = {"before_s": done.began - started, "simulated_s": done.seconds}
+                writer.close(timing=timing | {"frames": done.frames})
+        return _finish(arguments, out, done, started)
+    except KeyboardInterrupt:
+        print(f"hatn-sim: interrupted{where}", file=sys.stderr)
+        return 130
+    except SimulatorError as error:
+        raise SimulatorError(f"{error}; repeat with `{header['command']}`{where}") from None
 
 
 def _check_out(out: Path) -> None:
@@ -131,53 +131,85 @@ def _check_out(out: Path) -> None:
         raise InputError(f"{out}: exists already; expected a new folder: choose another --out")
 
 
+def _load_predictors(arguments: argparse.Namespace) -> list[Predictor]:
+    """The main predictor and those to compare it with."""
+    from hatn_sim.errors import InputError
+    from hatn_sim.predictors.find import load_predictor
+
+    wanted = dict.fromkeys((arguments.predictor, *arguments.compare))
+    predictors = [load_predictor(name, arguments.weights) for name in wanted]
+    names = [predictor.name for predictor in predictors]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two predictors call themselves {name!r}; give one another name")
+    return predictors
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A run that has been simulated and logged."""
+
+    frames: int
+    began: float  # time.monotonic() after the warm-up
+    seconds: float  # from then on, of the wall clock
+
+
 def _simulate(
     arguments: argparse.Namespace,
-    simulator: Any,
-    first: Frame,
+    simulator: SumoSimulator,
+    frame: Frame,
     predictors: Sequence[Predictor],
     writer: RunWriter,
-) -> int:
+) -> Simulated:
     from hatn_sim.commands.progress import Progress
     from hatn_sim.loop import Adviser, run
 
     egos = None if arguments.egos is None else frozenset(arguments.egos)
     advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]
-    warm_up = round(arguments.warm_up / simulator.dt_s)
-    total = round(arguments.duration / simulator.dt_s)
-    with Progress(arguments.scene, total, simulator.dt_s, arguments.quiet) as progress:
+    for _ in range(round(arguments.warm_up / simulator.dt_s)):
+        if frame.done:
+            break
+        frame = simulator.step()
+    total = max(1, round(arguments.duration / simulator.dt_s))
+    began = time.monotonic()
+    with Progress(simulator.scenario.name, total, simulator.dt_s, arguments.quiet) as progress:
 
         def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
             writer.write(index, frame, advice)
             progress.show(index + 1, len(frame.scene.ids))
 
-        return run(simulator, advisers, first, warm_up, total, write)
+        frames = run(simulator, advisers, frame, warm_up=0, frames=total, write=write)
+    if frames < total and not arguments.quiet:
+        print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
+    return Simulated(frames, began, time.monotonic() - began)
 
 
-def _finish(arguments: argparse.Namespace, out: Path, frames: int, started: float) -> int:
+def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: float) -> int:
+    from hatn_sim.commands.console import make_console
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json, write_scores
     from hatn_sim.score.prediction import clustered_over, score_run
 
+    scoring = time.monotonic()
     logged = read_run(out)
     scores: list[Score] = score_run(logged)
     write_scores(out, scores)
-    seconds_taken = time.monotonic() - started
-    simulated_s = frames * 0.1 + arguments.warm_up
+    taken_s = done.seconds + time.monotonic() - scoring
     pictures = [] if arguments.no_picture else _draw(logged, out, arguments.quiet)
+    never = [name for name in arguments.egos or () if name not in logged.ids]
+    if never and not arguments.quiet:
+        print(f"hatn-sim: never seen in this run: --egos {','.join(never)}", file=sys.stderr)
     if arguments.json:
         print(scores_json(scores))
         return 0
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    console.print(score_table(scores, clustered_over([logged])))
+    make_console().print(score_table(scores, clustered_over([logged])))
     print(
-        f"{frames} steps of 0.1 s after {arguments.warm_up:g} s of warm-up, "
-        f"{len(logged.ids)} vehicles, in {seconds_taken:.1f} s: "
-        f"{simulated_s * 10 / seconds_taken:.0f} steps per second, "
-        f"{simulated_s / seconds_taken:.1f} times real time, log and scores included"
+        f"{done.frames} steps of 0.1 s, {len(logged.ids)} vehicles, in {taken_s:.1f} s, log and "
+        f"scores included: {done.frames / taken_s:.0f} steps per second, "
+        f"{0.1 * done.frames / taken_s:.1f} times real time"
     )
+    before_s = done.began - started
+    print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
     print(f"log, scores and pictures in {out}" if pictures else f"log and scores in {out}")
     return 0
 
@@ -200,10 +232,9 @@ def make_header(
     """What `run.json` says of how the run was made, without paths of this machine's folders."""
     from hatn_sim.commands.versions import installed
 
-    weights = {
-        predictor.name: predictor.weights.sha256  # type: ignore[attr-defined]
+    hashes = {
+        predictor.name: getattr(getattr(predictor, "weights", None), "sha256", None)
         for predictor in predictors
-        if hasattr(predictor, "weights")
     }
     return {
         "scene": scenario.name,
@@ -220,7 +251,7 @@ def make_header(
             "risk": scenario.risk,
         },
         "versions": installed(),
-        "weights_sha256": weights,
+        "weights_sha256": {name: value for name, value in hashes.items() if value is not None},
         "command": _command(arguments, scenario),
     }
 
@@ -239,7 +270,7 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
         words += ["--density", scenario.density]
     if scenario.risk is not None:
         words += ["--risk", scenario.risk]
-    return " ".join(words)
+    return shlex.join(words)
 
 
 def _free_folder(name: str) -> Path:

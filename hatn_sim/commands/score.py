@@ -25,6 +25,7 @@ def main(arguments: argparse.Namespace) -> int:
     """Score and print."""
     import sys
 
+    from hatn_sim.commands.console import make_console
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json
     from hatn_sim.score.prediction import clustered_over, score_runs
@@ -37,7 +38,5 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(scores_json(scores))
         return 0
-    from rich.console import Console
-
-    Console(highlight=False).print(score_table(scores, clustered_over(runs)))
+    make_console().print(score_table(scores, clustered_over(runs)))
     return 0

@@ -1,7 +1,7 @@
 """Train HATN: simulate traffic, then the semantic graph network, then the encoder-decoder network.
 
 Writes a .safetensors file and beside it a .json card that says how the weights were made. The
-seeds of --tune decide which epoch is kept; neither they nor --seeds may be used to judge the result.
+seeds of --tune decide which epoch is kept; neither they nor --seeds may judge the result.
 """
 
 from __future__ import annotations

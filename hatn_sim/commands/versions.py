@@ -5,12 +5,17 @@ from __future__ import annotations
 import platform
 from importlib import metadata
 
-PACKAGES = ("hatn-sim", "libsumo", "numpy", "scipy", "torch", "pyarrow", "safetensors", "matplotlib")
+import hatn_sim
+
+PACKAGES = ("libsumo", "numpy", "scipy", "torch", "pyarrow", "safetensors", "matplotlib")
 
 
 def installed() -> dict[str, str | None]:
-    """Package -> version, None where it is not installed; Python itself first."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
+    """Package -> version, None where it is not installed; Python and hatn-sim itself first."""
+    found: dict[str, str | None] = {
+        "python": platform.python_version(),
+        "hatn-sim": hatn_sim.__version__,
+    }
     for name in PACKAGES:
         try:
             found[name] = metadata.version(name)

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from hatn_sim.datatypes import (
     HORIZON_FRAMES,
     FloatArray,
+    IntArray,
     Prediction,
     Route,
     Scene,
@@ -60,11 +62,8 @@ class Hatn:
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
-            with torch.inference_mode():
-                intention = self.weights.sgn(graph_batch(graphs))
-                goal = intention.goal_m()[:, 0]
-                history = torch.from_numpy(vehicle_history(seen, graphs.ego))
-                future = self.weights.edn(history, goal).double().numpy()
+            intention = self.intend(graphs)
+            future = self.decode(seen, graphs.ego, intention.goal_m()[:, 0])
             xy[graphs.ego] = _to_map(road, seen, graphs, future)
             slots = intention.slot_logit.double().softmax(-1).numpy()
             weight[graphs.ego], mean[graphs.ego], std[graphs.ego] = _ego_goals(intention)
@@ -81,6 +80,19 @@ class Hatn:
             goal_mean_m=mean,
             goal_std_m=std,
         )
+
+    @torch.inference_mode()
+    def intend(self, graphs: SemanticGraphs) -> Intention:
+        """What the SGN says of all graphs; there must be one."""
+        intention: Intention = self.weights.sgn(graph_batch(graphs))
+        return intention
+
+    @torch.inference_mode()
+    def decode(self, seen: Perception, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
+        """What the EDN makes of goals [B]: the future (s - s_t, d - d_t) [B, F, 2] of vehicles."""
+        history = torch.from_numpy(vehicle_history(seen, vehicle))
+        future: FloatArray = self.weights.edn(history, goal_m).double().numpy()
+        return future
 
 
 def graph_batch(graphs: SemanticGraphs) -> GraphBatch:

@@ -12,16 +12,18 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from hatn_sim.graph import CONTEXT_SIZE
+from hatn_sim.graph import CONTEXT_SIZE, ROAD_CONTEXT
 
 # Fixed scales, never fitted to a scene: d_f, v_f, phi_f, d_r, v_r, phi_r, l.
 FEATURE_SCALE = (30.0, 10.0, 1.0, 30.0, 10.0, 1.0, 30.0)
 CONTEXT_SCALE = (
     *(10.0,) * 11,
     *(0.1,) * 11,
+    10.0,
     *(4.0, 4.0, 10.0),
-    *(1.0,) * 8,
+    *(1.0,) * 4,
     *(3.0, 2.0, 30.0, 10.0, 1.0),
+    *(5.0, 5.0),
 )
 GOAL_SCALE_M = 10.0
 MIN_GOAL_STD_M = 0.1
@@ -35,6 +37,7 @@ class SgnSettings:
     width: int = 64
     components: int = 3
     class_weight: float = 2.0  # beta of the paper's loss
+    dropout: float = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,17 +81,20 @@ class SemanticGraphNetwork(nn.Module):
             raise ValueError("CONTEXT_SCALE must name every entry of graph.CONTEXT")
         self.absolute_gru = nn.GRU(8, width, batch_first=True)
         self.relative_gru = nn.GRU(8, width, batch_first=True)
-        self.context_encoder = nn.Sequential(nn.Linear(CONTEXT_SIZE, width), nn.Tanh())
-        self.absolute_encoder = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh())
-        self.relative_encoder = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh())
+        self.absolute_encoder = _dense(width + CONTEXT_SIZE - ROAD_CONTEXT, width)
+        self.relative_encoder = _dense(width + CONTEXT_SIZE - ROAD_CONTEXT, width)
         # One dense layer on a concatenated pair is the sum of one on each of the two.
         self.attend_sender = nn.Linear(width, 1)
         self.attend_receiver = nn.Linear(width, 1, bias=False)
         self.combine = nn.Linear(2 * width, width)
-        self.evolve = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh())
-        self.slot_head = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh(), nn.Linear(width, 1))
+        self.evolve = _dense(2 * width, width)
+        self.dropout = nn.Dropout(settings.dropout)
+        self.slot_head = nn.Sequential(_dense(2 * width, width), nn.Linear(width, 1))
+        # The road ahead says how far, not who goes first: it is kept from the slots, where it
+        # would only tell one place from another.
+        self.road_encoder = _dense(ROAD_CONTEXT + 1, width)
         self.goal_head = nn.Sequential(
-            nn.Linear(width, width), nn.Tanh(), nn.Linear(width, 3 * settings.components)
+            _dense(2 * width, width), nn.Linear(width, 3 * settings.components)
         )
 
     def forward(self, batch: GraphBatch) -> Intention:
@@ -97,14 +103,18 @@ class SemanticGraphNetwork(nn.Module):
         seen = batch.history_mask.unsqueeze(-1).to(x.dtype)
         absolute = torch.cat((x, seen), -1)[mask]
         relative = torch.cat((x - x[:, :1], seen), -1)[mask]
-        context = self.context_encoder(batch.context[mask] / self.context_scale)
+        context = batch.context[mask] / self.context_scale
+        road, interaction = context[:, :ROAD_CONTEXT], context[:, ROAD_CONTEXT:]
         _, h = self.absolute_gru(absolute)
         _, h_rel = self.relative_gru(relative)
-        h = self.absolute_encoder(torch.cat((h[0], context), -1))
-        h_rel = self.relative_encoder(torch.cat((h_rel[0], context), -1))
+        h = self.absolute_encoder(torch.cat((h[0], interaction), -1))
+        h_rel = self.relative_encoder(torch.cat((h_rel[0], interaction), -1))
         related = self._attend(h_rel, mask)
         z = self.evolve(torch.cat((related, self.combine(torch.cat((h, h_rel), -1))), -1))
-        return self._heads(z, x, mask, batch.focus_mask)
+        z = self.dropout(z)
+        speed = absolute[:, -1, 4:5]
+        road = self.road_encoder(torch.cat((road, speed), -1))
+        return self._heads(z, road, x, mask, batch)
 
     def _attend(self, h_rel: Tensor, mask: Tensor) -> Tensor:
         padded = h_rel.new_zeros((*mask.shape, h_rel.shape[-1]))
@@ -114,23 +124,29 @@ class SemanticGraphNetwork(nn.Module):
         score = score.masked_fill(~mask.unsqueeze(1), float("-inf"))
         return (score.softmax(-1) @ padded)[mask]
 
-    def _heads(self, z: Tensor, x: Tensor, mask: Tensor, focus: Tensor) -> Intention:
-        shape = (*mask.shape, self.settings.components)
-        ego_z = z.new_zeros((*mask.shape, z.shape[-1]))
-        ego_z[mask] = z
-        pair = torch.cat((z, ego_z[:, :1].expand_as(ego_z)[mask]), -1)
+    def _heads(
+        self, z: Tensor, road: Tensor, x: Tensor, mask: Tensor, batch: GraphBatch
+    ) -> Intention:
+        padded = z.new_zeros((*mask.shape, z.shape[-1]))
+        padded[mask] = z
+        pair = torch.cat((z, padded[:, :1].expand_as(padded)[mask]), -1)
         logit = z.new_full(mask.shape, float("-inf"))
         logit[mask] = self.slot_head(pair)[:, 0]
-        out = z.new_zeros((*shape[:2], 3, shape[2]))
-        out[mask] = self.goal_head(z).view(len(z), 3, -1)
-        # Distance at today's speed is where the goal's means start from.
+        out = z.new_zeros((*mask.shape, 3, self.settings.components))
+        out[mask] = self.goal_head(torch.cat((z, road), -1)).view(len(z), 3, -1)
+        # The goal's means start from the distance at today's speed.
         base_m = x[:, :, -1, 4:5] * (10.0 * HORIZON_S)
         return Intention(
-            slot_logit=logit.masked_fill(~focus, float("-inf")),
+            slot_logit=logit.masked_fill(~batch.focus_mask, float("-inf")),
             goal_log_weight=out[:, :, 0].log_softmax(-1),
-            goal_mean_m=nn.functional.softplus((base_m + GOAL_SCALE_M * out[:, :, 1])),
+            goal_mean_m=nn.functional.softplus(base_m + GOAL_SCALE_M * out[:, :, 1]),
             goal_std_m=MIN_GOAL_STD_M + GOAL_SCALE_M * nn.functional.softplus(out[:, :, 2] - 2.0),
         )
+
+
+def _dense(inputs: int, width: int) -> nn.Sequential:
+    """A dense layer with tanh, as in the paper's table of layers."""
+    return nn.Sequential(nn.Linear(inputs, width), nn.Tanh())
 
 
 def sgn_loss(

@@ -75,6 +75,7 @@ class PredictionTable:
     rear_to_conflict_m: FloatArray  # [R, M]
     conflict_xy_m: FloatArray  # [R, M, 2]
     conflict_type: IntArray  # [R, M]
+    slot_length_m: FloatArray  # [R, M] from the vehicle behind the slot to its front boundary
 
 
 @dataclass(frozen=True)
@@ -222,6 +223,7 @@ class Run:
             rear_to_conflict_m=slots["rear_to_conflict_m"],
             conflict_xy_m=np.stack([slots["conflict_x_m"], slots["conflict_y_m"]], axis=2),
             conflict_type=slots["conflict_type"].astype(np.int64),
+            slot_length_m=slots["slot_length_m"].astype(np.float64),
         )
 
     @cached_property

@@ -113,4 +113,5 @@ def _slot_rows(prediction: Prediction, count: int, vehicles: Array) -> dict[str,
         "conflict_x_m": nodes(graphs.conflict_xy_m[..., 0]),
         "conflict_y_m": nodes(graphs.conflict_xy_m[..., 1]),
         "conflict_type": nodes(graphs.conflict_type),
+        "slot_length_m": nodes(graphs.x[:, :, -1, 6]),
     }

@@ -84,6 +84,7 @@ SLOTS = (
     Column("conflict_x_m", "float64", ragged=True),
     Column("conflict_y_m", "float64", ragged=True),
     Column("conflict_type", "int8", ragged=True),
+    Column("slot_length_m", "float32", ragged=True),  # between its two boundaries, now
 )
 """The slots of the vehicle's own semantic graph, one list entry per node; probabilities only
 where the predictor gives them."""

@@ -14,7 +14,8 @@ import numpy as np
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, FloatArray, Prediction, Route, Scene
 from hatn_sim.perception import Perception, PerceptionState, begin, perceive
 from hatn_sim.predictors.constant_velocity import extrapolate
-from hatn_sim.road import LINE_STEP_M, Road
+from hatn_sim.road import Road
+from hatn_sim.speed_profile import PROFILE_STEP_M, allowed_speed_mps
 
 DESIRED_SPEED_MPS: Final = 54.0 / 3.6
 HEADWAY_S: Final = 0.8
@@ -22,9 +23,7 @@ STANDSTILL_M: Final = 2.0
 ACCELERATION_MPS2: Final = 2.0
 BRAKING_MPS2: Final = 3.0
 EXPONENT: Final = 4
-LATERAL_MPS2: Final = 2.5
 HARDEST_MPS2: Final = 8.0
-LOOK_AHEAD_M: Final = 60.0
 
 
 def idm_acceleration(
@@ -85,14 +84,14 @@ def _roll_out(road: Road, seen: Perception) -> FloatArray:
     lead = np.maximum(seen.leader, 0)
     half_m = 0.5 * scene.size_m[:, 0]
     lead_s = np.where(has_leader, seen.leader_s_m - half_m - half_m[lead], np.inf)
-    allowed = _allowed_speed(road, line, s)
+    allowed = allowed_speed_mps(road, line, s)
     out = np.zeros((len(s), HORIZON_FRAMES))
     for frame in range(HORIZON_FRAMES):
         # A leader on no line of its own keeps its speed, on one it is rolled out as well.
         travelled = np.where(seen.lines.line[lead] >= 0, s[lead] - start[lead],
                              scene.speed_mps[lead] * DT_S * frame)
         gap = np.where(has_leader, lead_s + travelled - s, np.inf)
-        column = np.minimum(((s - start) / LINE_STEP_M).astype(np.int64), allowed.shape[1] - 1)
+        column = np.minimum(((s - start) / PROFILE_STEP_M).astype(np.int64), allowed.shape[1] - 1)
         desired = np.minimum(DESIRED_SPEED_MPS, allowed[np.arange(len(s)), column])
         closing = np.where(has_leader, speed - speed[lead], 0.0)
         acceleration = idm_acceleration(speed, desired, gap, closing)
@@ -101,19 +100,3 @@ def _roll_out(road: Road, seen: Perception) -> FloatArray:
         speed = faster
         out[:, frame] = s
     return out
-
-
-def _allowed_speed(road: Road, line: np.ndarray, s_m: FloatArray) -> FloatArray:
-    """Speed [N, P] allowed every `LINE_STEP_M` from now on by the lane and by the curvature.
-
-    A bend is braked for at `BRAKING_MPS2` / 2 before it is reached, as drivers do.
-    """
-    points = int((LOOK_AHEAD_M + DESIRED_SPEED_MPS * HORIZON_FRAMES * DT_S) / LINE_STEP_M)
-    index = (s_m[:, None] / LINE_STEP_M).astype(np.int64) + np.arange(points)
-    index = np.minimum(index, road.count[line][:, None] - 1)
-    bend = np.sqrt(LATERAL_MPS2 / np.maximum(np.abs(road.curvature_per_m[line[:, None], index]), 1e-3))
-    square = np.minimum(road.speed_limit_mps[line[:, None], index], bend) ** 2
-    # v(s)^2 <= v(s')^2 + b (s' - s) for every s' ahead: one running minimum from the far end.
-    fall = BRAKING_MPS2 * LINE_STEP_M * np.arange(points)
-    reachable = np.minimum.accumulate((square + fall)[:, ::-1], axis=1)[:, ::-1] - fall
-    return np.sqrt(reachable)

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from hatn_sim.datatypes import BoolArray, FloatArray, Gate, Kind, Lane
@@ -39,7 +40,7 @@ class Box:
         """Which of the points [..., 2] lie in the box, or outside it by less than a margin."""
         low = np.array([self.west_m, self.south_m]) - margin_m
         high = np.array([self.east_m, self.north_m]) + margin_m
-        inside: BoolArray = ((xy_m >= low) & (xy_m <= high)).all(axis=-1)
+        inside: BoolArray = np.all((xy_m >= low) & (xy_m <= high), axis=-1)
         return inside
 
 
@@ -79,9 +80,10 @@ def road_shapes(lanes: Iterable[Lane], box: Box) -> RoadShapes:
     road = [lane for lane in near if lane.kinds & MOTOR_KINDS]
     trams = [lane for lane in near if not lane.kinds & MOTOR_KINDS and Kind.TRAM in lane.kinds]
     others = [lane for lane in near if lane not in road and lane not in trams]
-    solid, dashed = _markings([lane for lane in road if not lane.is_connection])
+    asphalt = _surface(road, box, KERB_RADIUS_M)
+    solid, dashed = _markings([lane for lane in road if not lane.is_connection], asphalt)
     return RoadShapes(
-        asphalt=_surface(road, box, KERB_RADIUS_M),
+        asphalt=asphalt,
         path=_surface(others, box, 1.0),
         rails_xy_m=tuple(_beside(lane.xy_m, side) for lane in trams for side in (-0.72, 0.72)),
         solid_xy_m=solid,
@@ -106,10 +108,25 @@ def _surface(lanes: Sequence[Lane], box: Box, radius_m: float) -> Surface | None
         if len(points):
             away_m, _ = cKDTree(points).query(grid)
             outside = np.minimum(outside, away_m - 0.5 * width_m)
-    outside = outside.reshape(len(y), len(x))
-    deep_m = GRID_M * distance_transform_edt(outside < radius_m)
-    closed = np.minimum(outside, radius_m - deep_m)
-    return Surface(x, y, gaussian_filter(closed, 1.0))
+    rim = _crossings(x, y, outside.reshape(len(y), len(x)) - radius_m)
+    if len(rim):
+        deep_m, _ = cKDTree(rim).query(grid)
+        outside = np.where(outside < radius_m, np.minimum(outside, radius_m - deep_m), outside)
+    return Surface(x, y, gaussian_filter(outside.reshape(len(y), len(x)), 1.0))
+
+
+def _crossings(x_m: FloatArray, y_m: FloatArray, value: FloatArray) -> FloatArray:
+    """Where a function on a grid [Y, X] is 0, by linear interpolation along the grid: [P, 2]."""
+    points: list[FloatArray] = []
+    for axis in (0, 1):
+        before, after = (value[:-1], value[1:]) if axis == 0 else (value[:, :-1], value[:, 1:])
+        row, column = np.nonzero((before < 0.0) != (after < 0.0))
+        part = before[row, column] / (before[row, column] - after[row, column])
+        x, y = x_m[column], y_m[row]
+        points.append(
+            np.stack((x, y + part * GRID_M) if axis == 0 else (x + part * GRID_M, y), axis=1)
+        )
+    return np.concatenate(points)
 
 
 def _beside(xy_m: FloatArray, left_m: float) -> FloatArray:
@@ -119,12 +136,19 @@ def _beside(xy_m: FloatArray, left_m: float) -> FloatArray:
     return points + left_m * np.stack((-np.sin(yaw), np.cos(yaw)), axis=1)
 
 
-def _markings(lanes: Sequence[Lane]) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-    """Solid lines at the edges and between directions, dashed ones between lanes of a direction."""
+def _markings(
+    lanes: Sequence[Lane], asphalt: Surface | None
+) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+    """Solid lines between directions, dashed ones between lanes of a direction.
+
+    The edges of the road are not among them: they follow the asphalt.
+    """
     solid: list[FloatArray] = []
     dashed: list[FloatArray] = []
-    if not lanes:
+    if not lanes or asphalt is None:
         return (), ()
+    grid = (asphalt.y_m, asphalt.x_m)
+    outside = RegularGridInterpolator(grid, asphalt.outside_m, bounds_error=False, fill_value=0.0)
     points = [resample(lane.xy_m, 0.5) for lane in lanes]
     tree = cKDTree(np.concatenate(points))
     owner = np.repeat(np.arange(len(lanes)), [len(p) for p in points])
@@ -139,7 +163,7 @@ def _markings(lanes: Sequence[Lane]) -> tuple[tuple[FloatArray, ...], tuple[Floa
             same = np.cos(yaw_rad[near] - own_yaw) > 0.0
             border = _beside(lane.xy_m, side * 0.5 * lane.width_m)
             inner = _beside(lane.xy_m, side * (0.5 * lane.width_m - EDGE_M))
-            solid += _runs(inner, ~there)
+            solid += _runs(inner, ~there & (outside(inner[:, ::-1]) < -3.0 * EDGE_M))
             if side > 0:  # the neighbour draws the other one
                 solid += _runs(border, there & ~same)
                 dashed += _runs(border, there & same)
@@ -147,9 +171,9 @@ def _markings(lanes: Sequence[Lane]) -> tuple[tuple[FloatArray, ...], tuple[Floa
 
 
 def _runs(xy_m: FloatArray, keep: BoolArray) -> list[FloatArray]:
-    """The unbroken stretches of a polyline that are kept."""
+    """The unbroken stretches of a polyline (a vertex each metre) that are kept, but no crumbs."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], keep, [False])).astype(np.int8)))
-    return [xy_m[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 2]
+    return [xy_m[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 5]
 
 
 def _stop_line(lane: Lane) -> StopLine:

@@ -1,10 +1,10 @@
-"""What traffic is like, from its frames: how much, how fast, how delayed, how often it goes wrong."""
+"""What traffic is like, from its frames: how much, how fast, how delayed, how often unsafe."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Final
 
@@ -35,15 +35,17 @@ class TrafficCount:
         names = (field.name for field in fields(TrafficCount))
         return TrafficCount(**{name: getattr(self, name) + getattr(other, name) for name in names})
 
+    def with_delays(self, delays_s: Sequence[float]) -> TrafficCount:
+        """This count with the delays of the vehicles that arrived, known only afterwards."""
+        return replace(self, delays=len(delays_s), delay_sum_s=sum(delays_s))
 
-def count_traffic(
-    before: Frame, frames: Iterable[Frame], dt_s: float, delays_s: Iterable[float] = ()
-) -> TrafficCount:
+
+def count_traffic(before: Frame, frames: Iterable[Frame], dt_s: float) -> TrafficCount:
     """Counts of the frames, `before` being the frame just before the first of them.
 
     A collision is a pair of vehicles, counted once while they overlap. Emergency brakings and hard
     brakings are vehicles, counted once each; the frame in which a vehicle appears is left out, and
-    so is one in which it teleports. `delays_s` are of the vehicles that arrived meanwhile.
+    so is one in which it teleports.
     """
     count = vehicle_frames = arrived = collisions = 0
     speed_sum_mps = 0.0
@@ -66,15 +68,12 @@ def count_traffic(
         vehicle_frames += len(speed_now)
         speed_sum_mps += sum(speed_now.values())
         speed_before = speed_now
-    delay = tuple(delays_s)
     return TrafficCount(
         seconds=count * dt_s,
         frames=count,
         vehicle_frames=vehicle_frames,
         speed_sum_mps=speed_sum_mps,
         arrived=arrived,
-        delays=len(delay),
-        delay_sum_s=sum(delay),
         collisions=collisions,
         emergency_brakings=len(emergency),
         hard_brakings=len(hard),
@@ -103,11 +102,9 @@ def risk_figures(count: TrafficCount) -> dict[str, float | None]:
 def read_delays_s(tripinfo: Path, after_s: float) -> list[float]:
     """Time lost by every vehicle that arrived after `after_s`, from SUMO's `--tripinfo-output`."""
     trips = ElementTree.parse(tripinfo).getroot().iter("tripinfo")
-    return [float(trip.attrib["timeLoss"]) for trip in trips if _arrived_s(trip.attrib) > after_s]
-
-
-def _arrived_s(trip: Mapping[str, str]) -> float:
-    return float(trip["arrival"])
+    return [
+        float(trip.attrib["timeLoss"]) for trip in trips if float(trip.attrib["arrival"]) > after_s
+    ]
 
 
 def _speeds(frame: Frame) -> dict[str, float]:

@@ -36,7 +36,7 @@ class SumoSimulator:
     """
 
     def __init__(self, scenario: Scenario, extra_options: Sequence[str] = ()) -> None:
-        """`extra_options` are words of SUMO's command line that override the scene's.
+        """`extra_options` are further words for SUMO's command line.
 
         Raises InputError where the scene's configuration is at fault.
         """
@@ -49,6 +49,8 @@ class SumoSimulator:
         self._routes: list[Route] = []
         self._seed = 0
         self._time_s = 0.0
+        self.sumo_s = 0.0
+        """Wall clock that SUMO itself took for the last step, reading and the pipe excepted."""
 
     @property
     def dt_s(self) -> float:
@@ -155,7 +157,7 @@ class SumoSimulator:
             raise InputError(f"{self.scenario.config_path}: {fault}; correct the scene")
 
     def _frame(self, raw: RawFrame) -> Frame:
-        self._time_s = raw.time_s
+        self._time_s, self.sumo_s = raw.time_s, raw.sumo_s
         self._routes.extend(raw.new_routes)
         rows = raw.rows
         numbers = rows[:, 7:11].astype(np.int64)

@@ -24,6 +24,7 @@ class RawFrame:
     arrived: tuple[str, ...]
     teleported: tuple[str, ...]
     done: bool
+    sumo_s: float = 0.0  # wall clock of SUMO's own step, reading excepted
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import os
 import pickle
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -35,6 +36,8 @@ OBEY_SPEED_MODE = 32
 vehicle does what it is told, into a collision if need be."""
 OWN_SPEED_MODE = 31
 """All checks on: SUMO's own driver."""
+ROUNDING_MPS = 1e-6
+"""What a difference of two speeds may be off."""
 INVALID_M = -1e9
 """SUMO gives coordinates below this where a vehicle is nowhere (while it teleports)."""
 SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
@@ -106,6 +109,8 @@ class Simulation:
         self._lights: tuple[str, ...] = libsumo.trafficlight.getIDList()
         self._looks: dict[str, tuple[float, ...]] = {}
         self._commanded: set[str] = set()
+        self._speeds_mps: dict[str, float] = {}
+        self._sumo_s = 0.0
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -113,7 +118,9 @@ class Simulation:
         """Lets 0.1 s pass. Vehicles no longer commanded are given back to SUMO's driver."""
         if commands or self._commanded:
             self._command(commands)
+        started = time.perf_counter()
         libsumo.simulationStep()
+        self._sumo_s = time.perf_counter() - started
 
     def _command(self, commands: Sequence[tuple[str, float]]) -> None:
         present = set(libsumo.vehicle.getIDList())
@@ -137,6 +144,7 @@ class Simulation:
             self._tracker.forget(vehicle)
             self._looks.pop(vehicle, None)
         ids, rows, routes = self._vehicles()
+        emergency_braking = self._emergency_braking(ids, rows)
         persons = frozenset(libsumo.person.getIDList()).difference(ids)
         self._add_pedestrians(ids, rows, routes)
         new_routes = tuple(self._tracker.routes[self._routes_sent :])
@@ -157,11 +165,32 @@ class Simulation:
                 np.bool_,
             ),
             collisions=_collisions(persons),
-            emergency_braking=tuple(simulation.getEmergencyStoppingVehiclesIDList()),
+            emergency_braking=emergency_braking,
             departed=tuple(simulation.getDepartedIDList()),
             arrived=arrived,
             teleported=tuple(simulation.getStartingTeleportIDList()),
             done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
+            sumo_s=self._sumo_s,
+        )
+
+    def _emergency_braking(
+        self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
+    ) -> tuple[str, ...]:
+        """The vehicles that brake as hard as they can, which SUMO warns of but gives no list of.
+
+        Its list of emergency stops is another thing: vehicles that a dead end surprises.
+        """
+        before_mps, dt_s = self._speeds_mps, libsumo.simulation.getDeltaT()
+        self._speeds_mps = {name: row[3] for name, row in zip(ids, rows, strict=True)}
+        lost_mps = {
+            name: before_mps[name] - speed_mps
+            for name, speed_mps in self._speeds_mps.items()
+            if speed_mps < before_mps.get(name, 0.0)
+        }
+        return tuple(
+            name
+            for name, lost in lost_mps.items()
+            if lost >= libsumo.vehicle.getEmergencyDecel(name) * dt_s - ROUNDING_MPS
         )
 
     def _vehicles(self) -> tuple[list[str], list[tuple[float, ...]], list[int]]:

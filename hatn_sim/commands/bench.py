@@ -1,0 +1,106 @@
+"""Time every stage of a tick side by side, and the memory it takes.
+
+Every stage runs on the same frames of the same run, so that the ratios to SUMO's bare step hold
+from machine to machine better than the milliseconds do. The demand of the scene is raised until it
+holds as many vehicles as are asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hatn_sim.commands.options import whole_number, whole_numbers
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hatn_sim.bench import Bench
+
+EXAMPLES = """examples:
+  hatn-sim bench
+  hatn-sim bench --scene intersection5 --vehicles 20 --steps 1000 --json
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hatn-sim bench`."""
+    parser.add_argument(
+        "--scene", default="roundabout8", metavar="SCENE", help="(default: roundabout8)"
+    )
+    parser.add_argument(
+        "--vehicles",
+        type=whole_numbers,
+        default=(10, 30, 100),
+        metavar="N,N",
+        help="vehicles at once (default: 10,30,100)",
+    )
+    parser.add_argument(
+        "--steps", type=whole_number, default=300, metavar="N", help="to time (default: 300)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the traffic (default: 1)")
+    parser.add_argument(
+        "--weights", type=Path, metavar="FILE", help="weights of hatn (default: those that ship)"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Time and print."""
+    from hatn_sim.bench import bench
+    from hatn_sim.config import load_scenario
+    from hatn_sim.hatn.predictor import Hatn
+    from hatn_sim.resources import weights_dir
+
+    scenario = load_scenario(arguments.scene)
+    predictor = Hatn(arguments.weights or weights_dir() / "hatn.safetensors")
+    # In rising order: the peak of this process's memory is the one so far.
+    benches = [
+        bench(scenario, predictor, vehicles, arguments.steps, arguments.seed)
+        for vehicles in sorted(arguments.vehicles)
+    ]
+    if arguments.json:
+        import json
+        from dataclasses import asdict
+
+        print(json.dumps([asdict(one) for one in benches], indent=2))
+        return 0
+    from hatn_sim.commands.console import make_console
+
+    print("milliseconds a tick (medians), and as a multiple of the bare libsumo step")
+    make_console().print(_table(benches))
+    for one in benches:
+        print(
+            f"{one.vehicles:.0f} vehicles: {one.scene} at {one.scale:g} times its demand, "
+            f"{one.steps} steps; peak memory {_megabytes(one.peak_mb)}, "
+            f"SUMO worker {_megabytes(one.worker_peak_mb)}"
+        )
+    return 0
+
+
+def _table(benches: Sequence[Bench]) -> Table:
+    from rich.table import Table
+
+    from hatn_sim.bench import STAGES
+
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="italic")
+    table.add_column("stage")
+    for one in benches:
+        table.add_column(f"{one.vehicles:.0f} vehicles", justify="right")
+    by_stage = [{timing.stage: timing for timing in one.timings} for one in benches]
+    for stage, title in STAGES.items():
+        cells = [
+            f"{at[stage].median_ms:.2f} x{at[stage].ratio:.1f}" if stage in at else "-"
+            for at in by_stage
+        ]
+        table.add_row(title, *cells)
+        if stage == "log":
+            # Its median hides the tables, which it writes once in many steps.
+            table.add_row("  mean", *(f"{at[stage].mean_ms:.2f}      " for at in by_stage))
+    return table
+
+
+def _megabytes(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.0f} MB"

@@ -1,0 +1,163 @@
+"""Which moment of a run is worth a picture."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, IntArray
+from hatn_sim.errors import InputError, nearest
+from hatn_sim.labels import slot_label
+from hatn_sim.log import PredictionTable, Run
+from hatn_sim.report.moment import main_predictions
+
+COMPANY_M: Final = 40.0
+IN_PICTURE_M: Final = 32.0
+"""Vehicles this near to the ego surely fit into a picture with it."""
+
+
+def choose_moment(
+    run: Run, time_s: float | None = None, ego_id: str | None = None
+) -> tuple[int, str]:
+    """The most telling moment of a run and its ego: (frame, ego id).
+
+    Candidates are all egos that have to choose between at least two slots while they and all the
+    vehicles behind these slots stay in view for the next 3 s. Moments whose most probable slot is
+    the one that was taken in the end go before all others, so the picture shows a typical success;
+    errors of predicted paths play no part. Among them the sum of these decides, each between 0 and
+    1: that the second best slot has a real probability, that the best is clearly ahead, the number
+    of slots, the distance the ego travels in 3 s and that of the others, the room in the slots, a
+    conflict 6 to 30 m ahead, the share of the others near enough to fit into the picture, and
+    company nearby. Ties go to the earlier frame. Where nobody has a choice, the vehicle and frame
+    with the most company are taken.
+
+    Args:
+        run: the log.
+        time_s: look only at the predicted frame nearest to this time of the simulation.
+        ego_id: look only at this vehicle.
+
+    Raises:
+        InputError: nothing was predicted, nobody stays in view for 3 s after a prediction, or there
+            is no such time or vehicle.
+    """
+    table = main_predictions(run)
+    wanted = _wanted(run, table, time_s, ego_id)
+    trajectories = run.trajectories
+    stays = wanted & trajectories.seen(table.vehicle, table.frame, table.frame + HORIZON_FRAMES)
+    if not stays.any():
+        if time_s is None:
+            raise InputError(
+                f"{run.path}: nobody is in view for 3 s after a prediction, so there is nothing to "
+                "draw; make a longer run"
+            )
+        rows = np.flatnonzero(wanted)
+        value = _company(run, table, rows)
+    else:
+        rows, others = _choices(run, table, stays)
+        if len(rows):
+            value = _telling(run, table, rows, others)
+        else:
+            rows = np.flatnonzero(stays)
+            value = _company(run, table, rows) + _travelled_m(run, table, rows).round(1) / 100.0
+    best = rows[int(value.argmax())]
+    return int(table.frame[best]), run.ids[table.vehicle[best]]
+
+
+def _wanted(
+    run: Run, table: PredictionTable, time_s: float | None, ego_id: str | None
+) -> BoolArray:
+    wanted = np.ones(len(table.frame), dtype=np.bool_)
+    if ego_id is not None:
+        if ego_id not in run.ids:
+            raise InputError(f"{run.path}: no vehicle {ego_id!r}{nearest(ego_id, run.ids)}")
+        wanted &= table.vehicle == run.ids.index(ego_id)
+    if time_s is not None:
+        first_s, last_s = float(run.times_s[0]), float(run.times_s[-1])
+        if not first_s <= time_s <= last_s:
+            raise InputError(
+                f"{run.path}: no time {time_s:g} s; expected {first_s:.1f} to {last_s:.1f} s"
+            )
+        frame = int(np.abs(run.times_s - time_s).argmin())
+        wanted &= table.frame == frame
+    if not wanted.any():
+        who = "no vehicle" if ego_id is None else f"vehicle {ego_id!r}"
+        when = "in this run" if time_s is None else f"at {time_s:g} s"
+        raise InputError(f"{run.path}: {who} is predicted {when}; name another time or vehicle")
+    return wanted
+
+
+def _choices(
+    run: Run, table: PredictionTable, stays: BoolArray
+) -> tuple[IntArray, BoolArray]:
+    """Rows [R] of egos with a choice, everybody in view for 3 s, and their others' slots [R, M]."""
+    others = table.slot_in_focus & table.slot_mask
+    others[:, :1] = False
+    rows = np.flatnonzero(stays & table.has_slot_probability & others.any(axis=1))
+    seen = np.ones(len(rows), dtype=np.bool_)
+    frame = table.frame[rows]
+    for m in range(1, others.shape[1]):
+        rear = np.maximum(table.slot_vehicle[rows, m], 0)
+        stays_too = run.trajectories.seen(rear, frame, frame + HORIZON_FRAMES)
+        seen &= ~others[rows, m] | stays_too
+    return rows[seen], others[rows[seen]]
+
+
+def _telling(run: Run, table: PredictionTable, rows: IntArray, others: BoolArray) -> FloatArray:
+    focus = table.slot_in_focus[rows] & table.slot_mask[rows]
+    chance = np.where(focus, table.slot_probability[rows], 0.0)
+    taken = slot_label(
+        run.trajectories,
+        table.vehicle[rows],
+        table.frame[rows],
+        table.slot_vehicle[rows],
+        focus,
+        table.ego_to_conflict_m[rows],
+        table.rear_to_conflict_m[rows],
+        table.conflict_xy_m[rows],
+    )
+    right = chance.argmax(axis=1) == taken
+    ranked = np.sort(chance, axis=1)
+    second, margin = ranked[:, -2], ranked[:, -1] - ranked[:, -2]
+    count = others.sum(axis=1)
+    ego_m = _travelled_m(run, table, rows)
+    rear = np.maximum(table.slot_vehicle[rows], 0)
+    frame = np.repeat(table.frame[rows][:, None], rear.shape[1], axis=1)
+    all_m = run.trajectories.travelled_m
+    others_m = all_m[rear, frame + HORIZON_FRAMES] - all_m[rear, frame]
+    now_xy_m = run.trajectories.xy_m[rear, frame]
+    away_m = np.linalg.norm(now_xy_m - now_xy_m[:, :1], axis=2)
+    length_m = table.slot_length_m[rows]
+    ahead_m = table.ego_to_conflict_m[rows, 0]
+    parts = (
+        np.minimum(second / 0.15, 1.0),
+        np.minimum(margin / 0.3, 1.0),
+        np.minimum(count, 3) / 3.0,
+        np.minimum(ego_m / 12.0, 1.0),
+        (np.minimum(others_m / 12.0, 1.0) * others).sum(axis=1) / count,
+        (np.clip(length_m / 10.0, 0.0, 1.0) * focus).sum(axis=1) / focus.sum(axis=1),
+        ((ahead_m > 6.0) & (ahead_m < 30.0)).astype(np.float64),
+        np.minimum(_company(run, table, rows) / 8.0, 1.0),
+        ((away_m < IN_PICTURE_M) * others).sum(axis=1) / count,
+    )
+    value: FloatArray = np.sum(parts, axis=0) + 100.0 * right
+    return value
+
+
+def _travelled_m(run: Run, table: PredictionTable, rows: IntArray) -> FloatArray:
+    """How far the vehicles of these rows go in the next 3 s."""
+    travelled = run.trajectories.travelled_m
+    vehicle, frame = table.vehicle[rows], table.frame[rows]
+    gone: FloatArray = travelled[vehicle, frame + HORIZON_FRAMES] - travelled[vehicle, frame]
+    return gone
+
+
+def _company(run: Run, table: PredictionTable, rows: IntArray) -> FloatArray:
+    """How many vehicles are near those of these rows."""
+    near = np.zeros(len(rows))
+    trajectories = run.trajectories
+    for vehicle in range(len(run.ids)):
+        frame = table.frame[rows]
+        away = trajectories.xy_m[vehicle, frame] - trajectories.xy_m[table.vehicle[rows], frame]
+        near += trajectories.valid[vehicle, frame] & ((away**2).sum(axis=1) < COMPANY_M**2)
+    return near - 1.0

@@ -1,0 +1,206 @@
+"""The log of a run -> what there is to show around an ego at its moments. No drawing here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.datatypes import HORIZON_FRAMES, FloatArray, Scene, SemanticGraphs, Suggestion
+from hatn_sim.errors import InputError
+from hatn_sim.graph import build_graphs
+from hatn_sim.log import PredictionTable, Run
+from hatn_sim.log.road_file import ROAD_FILE, read_road
+from hatn_sim.perception import PerceptionState, begin, perceive
+from hatn_sim.road import LINE_STEP_M, Road
+
+WARM_UP_FRAMES: Final = 200
+"""Scenes perceived before the first one shown, so that lines and graphs are those of the run."""
+STILL_M: Final = 0.8
+"""Shorter paths are not drawn."""
+SLOT_REACH_M: Final = 45.0
+"""A slot is shown up to this far ahead of the vehicle behind it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """A dynamic insertion area of the ego's graph."""
+
+    rear_id: str
+    is_own: bool  # node 0: to take it is to yield
+    in_focus: bool
+    probability: float | None  # None: not in focus, or the predictor gives none
+    strip_xy_m: FloatArray  # [P, 2] middle of the strip, from the rear bumper boundary forward
+    conflict_xy_m: FloatArray | None  # [2]; None: there is no conflict
+
+
+def moves(path_xy_m: FloatArray) -> bool:
+    """Whether a path is long enough to be drawn."""
+    return float(np.linalg.norm(np.diff(path_xy_m, axis=0), axis=1).sum()) > STILL_M
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """What was predicted of a vehicle, and what it then did."""
+
+    mode_probability: FloatArray  # [K]
+    predicted_xy_m: FloatArray  # [K, F + 1, 2] from now on
+    actual_xy_m: FloatArray  # [G + 1, 2] from now on, as long as it stayed in view, G <= F
+
+    def paths_to_draw(self) -> Iterator[tuple[FloatArray, float]]:
+        """The predicted paths that go anywhere, and how strong each is: 1 for the likeliest."""
+        best = float(self.mode_probability.max(initial=0.0))
+        for path, chance in zip(self.predicted_xy_m, self.mode_probability, strict=True):
+            if chance > 0.05 and moves(path):
+                yield path, float(chance) / best
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """One frame, seen for one ego."""
+
+    scene: Scene
+    ego_id: str  # need not be in the scene (any more)
+    slots: tuple[Slot, ...]  # the ego's own first
+    forecasts: Mapping[str, Forecast]  # by vehicle
+    suggestion: Suggestion | None  # the last one given, see its time
+
+    @property
+    def choice(self) -> dict[str, float]:
+        """Probability of each slot to choose from, by the vehicle behind it; the least first."""
+        told = {
+            slot.rear_id: slot.probability
+            for slot in self.slots
+            if slot.in_focus and slot.probability is not None
+        }
+        return dict(sorted(told.items(), key=lambda item: item[1]))
+
+    @property
+    def involved(self) -> set[str]:
+        """The ego and the vehicles behind the slots of its focus."""
+        return {slot.rear_id for slot in self.slots if slot.in_focus} | {self.ego_id}
+
+
+def read_moments(run: Run, first: int, count: int, ego_id: str) -> Iterator[Moment]:
+    """The moments of an ego at `count` frames from `first` on, fewer where the run ends.
+
+    Lines and graphs are worked out again from the logged scenes and lanes; probabilities and
+    predictions are the logged ones.
+
+    Raises:
+        InputError: no such frame or vehicle, no predictions, or no lanes beside the log.
+    """
+    if not 0 <= first < run.frame_count:
+        raise InputError(
+            f"{run.path}: no frame {first}; expected 0 to {run.frame_count - 1}"
+        )
+    if ego_id not in run.ids:
+        raise InputError(f"{run.path}: no vehicle {ego_id!r} in this run; see its tracks for ids")
+    table = main_predictions(run)
+    state = begin(Road(read_road(run.path / ROAD_FILE)))
+    by_route = run.header.get("lines") == "route"
+    start, stop = max(first - WARM_UP_FRAMES, 0), min(first + count, run.frame_count)
+    for frame, logged in enumerate(islice(run.frames(), start, stop), start=start):
+        scene = logged.scene
+        state = perceive(state, scene, logged.truth.routes if by_route else None)
+        if frame >= first:
+            yield Moment(
+                scene=scene,
+                ego_id=ego_id,
+                slots=_slots(run, table, state, frame, ego_id),
+                forecasts=_forecasts(run, table, frame),
+                suggestion=_suggestion(run, frame, ego_id),
+            )
+
+
+def moment_at(run: Run, frame: int, ego_id: str) -> Moment:
+    """A single moment; raises as `read_moments` does, and where the ego is not in view."""
+    moment = next(read_moments(run, frame, 1, ego_id))
+    if ego_id not in moment.scene.ids:
+        raise InputError(f"{run.path}: vehicle {ego_id!r} is not in view at frame {frame}")
+    return moment
+
+
+def main_predictions(run: Run) -> PredictionTable:
+    """What the predictor said whose advice is shown. InputError where there is nothing."""
+    if not run.predictors or not len(run.ids):
+        what = "predictions" if len(run.ids) else "vehicles"
+        raise InputError(f"{run.path}: no {what} in this run, nothing to draw; make a longer run")
+    return run.predictions(run.predictors[0])
+
+
+def _slots(
+    run: Run, table: PredictionTable, state: PerceptionState, frame: int, ego_id: str
+) -> tuple[Slot, ...]:
+    rows = slice(*np.searchsorted(table.frame, [frame, frame + 1]))
+    row = np.flatnonzero(table.vehicle[rows] == run.ids.index(ego_id))
+    if ego_id not in state.seen.scene.ids or not len(row):
+        return ()
+    at = rows.start + int(row[0])
+    graphs = build_graphs(state.road, state.seen)
+    ego = np.flatnonzero(graphs.ego == graphs.ids.index(ego_id))
+    if not len(ego):
+        return ()
+    logged = {run.ids[table.slot_vehicle[at, m]]: m for m in np.flatnonzero(table.slot_mask[at])}
+    slots: list[Slot] = []
+    for m in np.flatnonzero(graphs.node_mask[ego[0]]).tolist():
+        rear_id = graphs.ids[graphs.rear[ego[0], m]]
+        if rear_id not in logged:
+            continue
+        node = logged[rear_id]
+        in_focus = bool(table.slot_in_focus[at, node])
+        told = table.has_slot_probability[at] and in_focus and table.has_conflict[at]
+        slots.append(
+            Slot(
+                rear_id=rear_id,
+                is_own=m == 0,
+                in_focus=in_focus,
+                probability=float(table.slot_probability[at, node]) if told else None,
+                strip_xy_m=_strip(state, graphs, int(ego[0]), m),
+                conflict_xy_m=table.conflict_xy_m[at, node] if table.has_conflict[at] else None,
+            )
+        )
+    return tuple(slots)
+
+
+def _strip(state: PerceptionState, graphs: SemanticGraphs, ego: int, node: int) -> FloatArray:
+    """Along the line of the vehicle behind the slot, from its front bumper to the slot's front."""
+    rear = int(graphs.rear[ego, node])
+    lines = state.seen.lines
+    length_m = float(np.clip(graphs.x[ego, node, -1, 6], 0.0, SLOT_REACH_M))
+    start_m = float(lines.s_m[rear] + 0.5 * state.seen.scene.size_m[rear, 0])
+    s_m = start_m + np.linspace(0.0, length_m, max(int(length_m / LINE_STEP_M), 2))
+    line = np.array([lines.line[rear]])
+    strip: FloatArray = state.road.locate(line, s_m[None], np.zeros((1, len(s_m))))[0]
+    return strip
+
+
+def _forecasts(run: Run, table: PredictionTable, frame: int) -> dict[str, Forecast]:
+    first, last = np.searchsorted(table.frame, [frame, frame + 1])
+    out: dict[str, Forecast] = {}
+    for row in range(int(first), int(last)):
+        vehicle = int(table.vehicle[row])
+        now = run.trajectories.xy_m[vehicle, frame]
+        modes = table.xy_m[row]
+        start = np.broadcast_to(now, (len(modes), 1, 2))
+        until = min(int(run.trajectories.seen_until[vehicle, frame]), frame + HORIZON_FRAMES)
+        out[run.ids[vehicle]] = Forecast(
+            mode_probability=table.mode_probability[row],
+            predicted_xy_m=np.concatenate((start, modes), axis=1),
+            actual_xy_m=run.trajectories.xy_m[vehicle, frame : until + 1],
+        )
+    return out
+
+
+def _suggestion(run: Run, frame: int, ego_id: str) -> Suggestion | None:
+    """The last that the ego was told, if it still stands."""
+    told: Suggestion | None = None
+    for change in run.suggestions:
+        if change.frame > frame:
+            break
+        if change.ego_id == ego_id:
+            told = change.suggestion
+    return told

@@ -1,0 +1,95 @@
+"""A moment of a run as a picture (PNG)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.datatypes import FloatArray, Kind
+from hatn_sim.log import Run
+from hatn_sim.log.road_file import ROAD_FILE, read_road
+from hatn_sim.report.choice import choose_moment
+from hatn_sim.report.moment import Moment, moment_at
+
+__all__ = ["choose_moment", "draw_moment"]
+
+NARROW_M: Final = 62.0
+WIDE_M: Final = 88.0
+"""A picture shows at least and at most this much of the map from left to right."""
+PADDING_M: Final = 9.0
+
+
+def draw_moment(run: Run, frame: int, ego_id: str, out_png: Path) -> None:
+    """Draw the moment of `frame` for an ego; the same log gives the same bytes.
+
+    Raises:
+        InputError: the ego is not in view there, or the folder of the run lacks what it takes.
+    """
+    from hatn_sim.report.canvas import POSTER, open_sheet
+    from hatn_sim.report.drawing import draw_moment_on
+
+    moment = moment_at(run, frame, ego_id)
+    lanes = read_road(run.path / ROAD_FILE)
+    wide, high = POSTER.map_in
+    centre, width_m = camera([moment], wide / high)
+    sheet = open_sheet(POSTER, lanes, centre, width_m)
+    draw_moment_on(sheet, moment, caption(run, moment))
+    # No "Software": its version would change the bytes.
+    sheet.figure.savefig(out_png, format="png", metadata={"Software": None})
+
+
+def caption(run: Run, moment: Moment) -> str:
+    """Scene, time, ego and predictor in one line."""
+    scene = moment.scene
+    words = [str(run.header.get("title") or run.header.get("scene") or run.path.name)]
+    words.append(f"t = {scene.time_s:.1f} s")
+    if moment.ego_id in scene.ids:
+        i = scene.ids.index(moment.ego_id)
+        kind = Kind(int(scene.kind[i])).name.lower()
+        words.append(f"ego: {kind} {moment.ego_id} at {scene.speed_mps[i]:.1f} m/s")
+    words.append(f"predictor: {run.predictors[0]}")
+    return "  ·  ".join(words)
+
+
+def camera(moments: Sequence[Moment], aspect: float) -> tuple[FloatArray, float]:
+    """Centre [2] and width in metres of what to show, for a map `aspect` times as wide as high."""
+    points: list[FloatArray] = []
+    for moment in moments:
+        scene, paths = moment.scene, moment.forecasts
+        for vehicle_id in sorted(moment.involved & set(scene.ids)):
+            points.append(scene.xy_m[scene.ids.index(vehicle_id)][None])
+            if vehicle_id in paths:
+                points.append(paths[vehicle_id].actual_xy_m[-1:])
+        points += [
+            slot.conflict_xy_m[None] for slot in moment.slots if slot.conflict_xy_m is not None
+        ]
+    xy = np.concatenate(points)
+    low, high = xy.min(axis=0) - PADDING_M, xy.max(axis=0) + PADDING_M
+    span_m = high - low
+    width_m = float(np.clip(max(span_m[0], aspect * span_m[1]), NARROW_M, WIDE_M))
+    # Where not all of it fits, what is around the ego goes before.
+    free = 0.5 * np.array([width_m, width_m / aspect]) - PADDING_M
+    core = np.concatenate([p for moment in moments for p in _core(moment)])
+    most, least = core.min(axis=0) + free, core.max(axis=0) - free
+    centre = 0.5 * (low + high)
+    fits = least <= most
+    return np.where(fits, np.clip(centre, least, most), core.mean(axis=0)), width_m
+
+
+def _core(moment: Moment) -> list[FloatArray]:
+    """The ego, the conflicts of its choice and where it will be in 3 s."""
+    scene = moment.scene
+    if moment.ego_id not in scene.ids:
+        return []
+    points = [scene.xy_m[scene.ids.index(moment.ego_id)][None]]
+    if moment.ego_id in moment.forecasts:
+        points.append(moment.forecasts[moment.ego_id].actual_xy_m[-1:])
+    points += [
+        slot.conflict_xy_m[None]
+        for slot in moment.slots
+        if slot.in_focus and slot.conflict_xy_m is not None
+    ]
+    return points

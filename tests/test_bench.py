@@ -1,0 +1,103 @@
+"""The bench: every stage on the same steps, with memory and the vehicles there really were."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from hatn_sim import bench, cli
+from hatn_sim.bench import STAGES, Stopwatch, peak_memory_mb
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
+from hatn_sim.hatn.weights_io import save_weights
+
+LINUX = sys.platform == "linux"
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path / "raw.safetensors"
+    sgn, edn = SemanticGraphNetwork(SgnSettings(width=8)), EncoderDecoderNetwork(EdnSettings(8))
+    save_weights(path, sgn, edn, {})
+    return path
+
+
+def test_every_stage_beside_the_bare_step(
+    weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["bench", "--scene", "intersection5", "--vehicles", "12,4", "--steps", "20"]
+    assert cli.main([*words, "--weights", str(weights), "--json"]) == 0
+    small, large = json.loads(capsys.readouterr().out)
+    assert (small["wanted"], large["wanted"]) == (4, 12)  # in rising order
+    assert small["scale"] <= large["scale"]
+    for one in (small, large):
+        assert one["scene"] == "intersection5" and one["steps"] == 20
+        assert abs(one["vehicles"] - one["wanted"]) < 4
+        at = {timing["stage"]: timing for timing in one["timings"]}
+        assert list(at) == list(STAGES)
+        assert at["sumo"]["ratio"] == 1.0
+        for timing in one["timings"]:
+            assert timing["median_ms"] > 0.0 and timing["mean_ms"] > 0.0
+            ratio = timing["median_ms"] / at["sumo"]["median_ms"]
+            assert timing["ratio"] == pytest.approx(ratio)
+        # One is a part of the other on every step.
+        assert at["sumo"]["median_ms"] < at["simulator"]["median_ms"] < at["tick"]["median_ms"]
+        if LINUX:
+            assert one["peak_mb"] > one["worker_peak_mb"] > 20.0
+
+
+def test_the_table_names_vehicles_stages_and_memory(
+    weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["bench", "--scene", "tjunction", "--vehicles", "3", "--steps", "5"]
+    assert cli.main([*words, "--weights", str(weights)]) == 0
+    table = capsys.readouterr().out
+    assert all(title in table for title in STAGES.values())
+    assert "x1.0" in table
+    assert "tjunction at " in table and "SUMO worker " in table
+
+
+def test_more_vehicles_than_the_scene_holds(
+    weights: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench, "SCALES", (1.0,))
+    monkeypatch.setattr(bench, "FILL_S", 20.0)
+    words = ["bench", "--scene", "tjunction", "--vehicles", "5000", "--weights", str(weights)]
+    assert cli.main(words) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("hatn-sim: tjunction: holds at most ")
+    assert line.endswith(
+        " at once, 5000 were asked for; choose fewer --vehicles or another --scene\n"
+    )
+
+
+def test_the_stopwatch_gives_back_what_was_done_and_leaves_out_what_was_not() -> None:
+    watch = Stopwatch()
+    assert watch.time("graphs", divmod, 7, 2) == (3, 1)
+    watch.taken_ms["sumo"] += [2.0, 4.0, 30.0]
+    watch.taken_ms["log"] += [1.0, 1.0, 40.0]
+    at = {timing.stage: timing for timing in watch.timings()}
+    assert list(at) == ["sumo", "graphs", "log"]
+    assert (at["log"].median_ms, at["log"].mean_ms, at["log"].ratio) == (1.0, 14.0, 0.25)
+
+
+@pytest.mark.skipif(not LINUX, reason="the peak of another process is Linux's to tell")
+def test_the_peak_of_memory_is_the_process_own() -> None:
+    here = bytearray(300_000_000)  # of the parent: not to be counted
+    program = "held = bytearray(100_000_000); held = None; print(flush=True); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as child:
+        assert child.stdout is not None and child.stdout.readline()
+        peak_mb = peak_memory_mb(str(child.pid))
+        child.communicate(b"\n")
+    assert peak_mb is not None and 100.0 < peak_mb < 200.0 and len(here)
+    own_mb = peak_memory_mb("self")
+    assert own_mb is not None and own_mb > 300.0
+    assert peak_memory_mb("0") is None
