@@ -23,7 +23,7 @@ _PUBLIC = {
     "read_run": "hatn_sim.log",
     "score_runs": "hatn_sim.score.prediction",
 }
-__all__ = sorted(_PUBLIC)
+__all__ = sorted(_PUBLIC)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

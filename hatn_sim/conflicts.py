@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial.distance import cdist
 
-from hatn_sim.datatypes import Conflict, ConflictType, FloatArray
+from hatn_sim.datatypes import Conflict, ConflictType, FloatArray, IntArray
 from hatn_sim.geometry import wrap_angle
 
 CONFLICT_WIDTH_M: Final = 1.8
@@ -49,7 +49,8 @@ def find_conflicts(
     near = distance < np.hypot(CONFLICT_WIDTH_M, coarse_m / 2)
     if not near.any():
         return ()
-    labels, _ = ndimage.label(near, structure=np.ones((3, 3)))
+    labels: IntArray = np.empty(near.shape, dtype=np.int64)
+    ndimage.label(near, structure=np.ones((3, 3)), output=labels)
     one_yaw, other_yaw = first_yaw_rad[::_COARSE], second_yaw_rad[::_COARSE]
     found: list[Conflict] = []
     for number, box in enumerate(ndimage.find_objects(labels), start=1):

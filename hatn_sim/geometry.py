@@ -75,7 +75,8 @@ def project_at(
     flat = lines_xy_m.reshape(-1, 2)
     base = line * lines_xy_m.shape[1]
     last = count[line] - 2
-    best_s = best_d = best_square = np.zeros(len(line))
+    best_s: FloatArray = np.zeros(len(line))
+    best_d, best_square = best_s, best_s
     for which, shift in enumerate((-1, 0)):
         segment = np.clip(vertex + shift, 0, last)
         start, end = flat[base + segment], flat[base + segment + 1]
@@ -88,8 +89,8 @@ def project_at(
         away = offset - t[:, None] * along
         square = (away * away).sum(axis=1)
         side = along[:, 0] * offset[:, 1] - along[:, 1] * offset[:, 0]
-        s = (segment + t) * step_m
-        d = np.sqrt(square) * np.where(side < 0, -1.0, 1.0)
+        s: FloatArray = (segment.astype(np.float64) + t) * step_m
+        d: FloatArray = np.sqrt(square) * np.where(side < 0, -1.0, 1.0)
         if which == 0:
             best_s, best_d, best_square = s, d, square
         else:

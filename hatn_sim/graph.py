@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import (
     HISTORY_FRAMES,
@@ -68,7 +68,7 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
     ego = np.flatnonzero(seen.lines.line >= 0)
     nodes = _interacting(road, seen, ego)
     rear, ego_m, rear_m, focus, kind, node_mask, conflict_s = nodes
-    has_conflict = node_mask[:, 1:].any(axis=1)
+    has_conflict: BoolArray = np.asarray(node_mask[:, 1:].any(axis=1))
     front, front_type, front_s = _fronts(road, seen, rear, rear_m, node_mask, has_conflict)
     x, history = _features(road, seen, rear, rear_m, front, front_type, front_s, node_mask)
     context = _context(road, seen, ego, rear, (ego_m, rear_m), focus, kind, node_mask)
@@ -113,7 +113,7 @@ def _interacting(
     row_of = np.full(len(scene.ids), -1, dtype=np.int64)
     row_of[ego] = np.arange(len(ego))
     if len(ego) > 1:
-        tree = cKDTree(scene.xy_m[ego])
+        tree = KDTree(scene.xy_m[ego])
         pairs = tree.query_pairs(2 * INTERACTION_M, output_type="ndarray")
         one = ego[np.concatenate((pairs[:, 0], pairs[:, 1]))]
         other = ego[np.concatenate((pairs[:, 1], pairs[:, 0]))]
@@ -149,9 +149,7 @@ def _interacting(
     return rear, ego_m, rear_m, focus, kind, mask, conflict_s
 
 
-def _next_gate_m(
-    road: Road, seen: Perception, types: tuple[Gate, ...]
-) -> FloatArray:
+def _next_gate_m(road: Road, seen: Perception, types: tuple[Gate, ...]) -> FloatArray:
     """Distance [N] of each vehicle's front bumper to the next stop or give-way line ahead.
 
     A signal counts where it is closed. inf where there is none.
@@ -161,7 +159,9 @@ def _next_gate_m(
         return np.full(len(line), np.inf)
     kind, signal = road.gate_type[line], road.gate_signal[line]
     closed = seen.scene.signal_closed
-    shut = np.concatenate((closed, [False]))[signal] if len(closed) else np.zeros(signal.shape, bool)
+    shut = (
+        np.concatenate((closed, [False]))[signal] if len(closed) else np.zeros(signal.shape, bool)
+    )
     counts = np.isin(kind, types) | ((kind == Gate.SIGNAL) & shut & (signal >= 0))
     front = seen.lines.s_m + 0.5 * seen.scene.size_m[:, 0]
     # A vehicle that stands with its bumper a little over the line is still behind it.

@@ -17,7 +17,6 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.datatypes import (
-    DT_S,
     BoolArray,
     FloatArray,
     IntArray,
@@ -328,5 +327,3 @@ def _lines(state: LineState, road: Road, scene: Scene, probability: FloatArray) 
         phi[on] = wrap_angle(scene.yaw_rad[on] - road.line_yaw_rad(line[on], s_on))
         chance[on] = probability[rows, np.minimum(own, probability.shape[1] - 1)][on]
     return Lines(line=line, s_m=s, d_m=d, phi_rad=phi, probability=chance)
-
-

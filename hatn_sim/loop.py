@@ -72,26 +72,29 @@ def advise(
     return AdviserState(state.memory, told, warned), Advice(prediction, suggestions, alerts)
 
 
+def warm_up(simulator: Simulator, frame: Frame, frames: int) -> Frame:
+    """Let traffic build up with nobody looking; `frame` is what `simulator.reset` gave."""
+    for _ in range(frames):
+        if frame.done:
+            break
+        frame = simulator.step()
+    return frame
+
+
 def run(
     simulator: Simulator,
     advisers: Sequence[Adviser],
     frame: Frame,
-    warm_up: int,
     frames: int,
     write: Callable[[int, Frame, Mapping[str, Advice]], None],
     agents: Mapping[str, Agent] | None = None,
 ) -> int:
     """Advise a whole run and hand every frame with its advice to `write`; returns the frames done.
 
-    `frame` is what `simulator.reset` gave; `warm_up` frames pass before anybody looks. The first
-    adviser predicts on every frame, the others on those that are scored. `agents` drive the
-    vehicles of their ids.
+    `frame` is the first of them. The first adviser predicts on every frame, the others on those
+    that are scored. `agents` drive the vehicles of their ids.
     """
     drivers = agents or {}
-    for _ in range(warm_up):
-        if frame.done:
-            break
-        frame = simulator.step()
     road = simulator.road
     states = [begin(adviser, road) for adviser in advisers]
     driver_states = {ego_id: agent.init(road) for ego_id, agent in drivers.items()}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import HISTORY_FRAMES, FloatArray, IntArray, Lines, Route, Scene, Tracks
 from hatn_sim.geometry import wrap_angle
@@ -131,7 +131,7 @@ def find_leaders(road: Road, scene: Scene, lines: Lines) -> tuple[IntArray, Floa
     leader_s_m = np.full(count, np.inf)
     if count < 2:
         return leader, leader_s_m
-    pairs = cKDTree(scene.xy_m).query_pairs(LEADER_REACH_M, output_type="ndarray")
+    pairs = KDTree(scene.xy_m).query_pairs(LEADER_REACH_M, output_type="ndarray")
     follower = np.concatenate((pairs[:, 0], pairs[:, 1]))
     ahead = np.concatenate((pairs[:, 1], pairs[:, 0]))
     keep = lines.line[follower] >= 0

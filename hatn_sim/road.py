@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hatn_sim.conflicts import find_conflicts
 from hatn_sim.datatypes import (
@@ -91,13 +91,13 @@ class Road:
         return before
 
     @cached_property
-    def _lane_samples(self) -> tuple[cKDTree, IntArray, FloatArray, tuple[str, ...]]:
+    def _lane_samples(self) -> tuple[KDTree, IntArray, FloatArray, tuple[str, ...]]:
         """Points every 2 m of every lane, the lane of each and the lane's direction there."""
         names = tuple(self.lanes)
         points = [resample(self.lanes[name].xy_m, 2.0) for name in names]
         owner = np.repeat(np.arange(len(names)), [len(p) for p in points])
         yaw = np.concatenate([tangent_rad(p) for p in points])
-        return cKDTree(np.concatenate(points)), owner, yaw, names
+        return KDTree(np.concatenate(points)), owner, yaw, names
 
     def lanes_near(self, xy_m: FloatArray, yaw_rad: float, kind: Kind) -> list[str]:
         """Lanes within `NEAR_M` and `NEAR_RAD` of a pose that a `kind` may use, nearest first."""
@@ -127,9 +127,7 @@ class Road:
         """Lines that begin with `prefix` and go on through every connection for `AHEAD_M`."""
         key = (prefix, kind)
         if key not in self._branches:
-            self._branches[key] = tuple(
-                self.line(route) for route in self._extend(prefix, kind)
-            )
+            self._branches[key] = tuple(self.line(route) for route in self._extend(prefix, kind))
         return self._branches[key]
 
     def prefix_to(self, lane_id: str, kind: Kind) -> Route:
@@ -183,9 +181,7 @@ class Road:
         xy_m = resample(np.concatenate([lane.xy_m for lane in lanes]), LINE_STEP_M)
         index = len(self.lines)
         successors = lanes[-1].successors
-        self.lines.append(
-            ReferenceLine(index, route, xy_m, start_s_m, closed_end=not successors)
-        )
+        self.lines.append(ReferenceLine(index, route, xy_m, start_s_m, closed_end=not successors))
         self._grow(index + 1, len(xy_m))
         count = len(xy_m)
         yaw_rad = tangent_rad(xy_m)
@@ -235,7 +231,14 @@ class Road:
             new[: old.shape[0], old.shape[1] :] = old[:, -1:] if name != "curvature_per_m" else 0.0
             setattr(self, name, new)
         fills = {"gate_s_m": np.inf, "fork_s_m": np.inf, "fork_end_s_m": np.inf, "gate_signal": -1}
-        for name in ("gate_s_m", "gate_type", "gate_signal", "fork_s_m", "fork_end_s_m", "fork_turn"):
+        for name in (
+            "gate_s_m",
+            "gate_type",
+            "gate_signal",
+            "fork_s_m",
+            "fork_end_s_m",
+            "fork_turn",
+        ):
             old = getattr(self, name)
             new = np.full((rows, MAX_FORKS), fills.get(name, 0), dtype=old.dtype)
             new[: old.shape[0]] = old
@@ -264,7 +267,8 @@ class Road:
         vertices = int(reach_m / (LINE_STEP_M * stride)) + 2
         index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, stride)
         coarse, _ = nearest_vertex(self.xy_m, line, xy_m, index)
-        return self.project(line, xy_m, coarse * LINE_STEP_M, 0.75 * stride * LINE_STEP_M)
+        coarse_s_m = coarse.astype(np.float64) * LINE_STEP_M
+        return self.project(line, xy_m, coarse_s_m, 0.75 * stride * LINE_STEP_M)
 
     def coarse_distance_m(
         self, line: IntArray, xy_m: FloatArray, low_s_m: FloatArray, reach_m: float
@@ -274,7 +278,7 @@ class Road:
         vertices = int(reach_m / (LINE_STEP_M * stride)) + 2
         index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, stride)
         vertex, square = nearest_vertex(self.xy_m, line, xy_m, index)
-        return vertex * LINE_STEP_M, np.sqrt(square)
+        return vertex.astype(np.float64) * LINE_STEP_M, np.sqrt(square)
 
     def line_yaw_rad(self, line: IntArray, s_m: FloatArray) -> FloatArray:
         """Direction of lines [Q] at arc lengths [Q, ...]."""

@@ -34,9 +34,7 @@ def crossing_lanes(angle_rad: float = 0.0, shift_m: tuple[float, float] = (0.0, 
     All three meet at right angles in closed form. The left turn is a quarter circle of radius 8 m.
     West has a stop line at its end. Optionally turned and shifted.
     """
-    arc = [
-        (-8.0 + 8.0 * np.sin(t), 8.0 - 8.0 * np.cos(t)) for t in np.linspace(0.0, np.pi / 2, 61)
-    ]
+    arc = [(-8.0 + 8.0 * np.sin(t), 8.0 - 8.0 * np.cos(t)) for t in np.linspace(0.0, np.pi / 2, 61)]
     lanes = [
         lane("w", [(-108, 0), (-8, 0)], "we", "wn", gate=Gate.STOP_LINE),
         lane("we", [(-8, 0), (8, 0)], "e", is_connection=True),
@@ -48,9 +46,7 @@ def crossing_lanes(angle_rad: float = 0.0, shift_m: tuple[float, float] = (0.0, 
     ]
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[cos, sin], [-sin, cos]])
-    return [
-        Lane(**{**one.__dict__, "xy_m": one.xy_m @ turn + np.array(shift_m)}) for one in lanes
-    ]
+    return [Lane(**{**one.__dict__, "xy_m": one.xy_m @ turn + np.array(shift_m)}) for one in lanes]
 
 
 @pytest.fixture

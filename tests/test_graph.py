@@ -58,9 +58,7 @@ def test_nodes_are_those_with_a_conflict_ahead_within_sixty_metres() -> None:
     np.testing.assert_allclose(graphs.rear_to_conflict_m[e, :3], [40.0, 30.0, 42.0], atol=0.11)
     np.testing.assert_allclose(graphs.conflict_xy_m[e, 1], [0.0, 0.0], atol=0.15)
     assert graphs.focus_mask[e].tolist() == [True, True, True] + [False] * 5
-    assert graphs.has_conflict.tolist() == [
-        name not in ("gone", "far") for name in graphs.ids
-    ]
+    assert graphs.has_conflict.tolist() == [name not in ("gone", "far") for name in graphs.ids]
 
 
 def test_features_by_hand() -> None:
@@ -142,7 +140,9 @@ def test_context_has_a_name_for_every_entry() -> None:
     assert by_name["speed_limit_mps at 0 m"] == 13.9
     assert by_name["length_m of the rear vehicle"] == 5.0
     assert by_name["speed_mps of the leader of the rear vehicle"] == 8.0
-    np.testing.assert_allclose(by_name["distance_m of the rear vehicle to its leader, up to FREE_M"], 7.0)
+    np.testing.assert_allclose(
+        by_name["distance_m of the rear vehicle to its leader, up to FREE_M"], 7.0
+    )
     assert by_name["gate ahead of the ego before the conflict"] == 1.0
     assert by_name["gate ahead of the rear vehicle before the conflict"] == 0.0
 

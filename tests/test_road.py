@@ -78,7 +78,10 @@ def test_two_lines_may_conflict_twice() -> None:
     road = Road([lane("straight", [(-10, 0), (170, 0)]), lane("wave", wave)])
     found = road.conflicts(road.line(("straight",)), road.line(("wave",)))
     # The wave begins within the straight line's corridor, heading 22 degrees off: they diverge.
-    assert [round(c.point_s_m[0]) for c in found] == [10 + round(20 * np.pi), 10 + round(40 * np.pi)]
+    assert [round(c.point_s_m[0]) for c in found] == [
+        10 + round(20 * np.pi),
+        10 + round(40 * np.pi),
+    ]
 
 
 def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None:

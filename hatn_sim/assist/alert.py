@@ -47,11 +47,9 @@ def alert(
     assert graphs is not None
     other = np.maximum(graphs.rear, 0)
     ego_speed = scene.speed_mps[graphs.ego][:, None]
-    ego_drac = required_deceleration_mps2(
-        graphs.ego_to_conflict_m, ego_speed, meeting.other_leave_s
-    )
+    ego_drac = required_deceleration_mps2(meeting.ego_room_m, ego_speed, meeting.other_leave_s)
     other_drac = required_deceleration_mps2(
-        graphs.rear_to_conflict_m, scene.speed_mps[other], meeting.ego_leave_s
+        meeting.other_room_m, scene.speed_mps[other], meeting.ego_leave_s
     )
     least = np.minimum(ego_drac, other_drac)
     danger = graphs.node_mask & (np.arange(graphs.rear.shape[1]) > 0)
@@ -72,7 +70,13 @@ def alert(
             count += 1
             reason = f"both need to brake at {least[e, m]:.1f} m/s2 or more not to meet"
             onset = Alert(
-                f"a{count:05d}", "onset", "CONFLICT", scene.time_s, ego_id, other_id, severity,
+                f"a{count:05d}",
+                "onset",
+                "CONFLICT",
+                scene.time_s,
+                ego_id,
+                other_id,
+                severity,
                 reason,
             )
             edges.append(onset)

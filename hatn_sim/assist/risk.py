@@ -15,7 +15,7 @@ FAR_S: Final = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Encounters:
-    """Both vehicles of every node at their conflict, seconds from now, [E, M] each.
+    """Both vehicles of every node at their conflict, [E, M] each; times are from now.
 
     `enter` is when the front bumper, `leave` when the rear bumper passes the point of conflict, the
     half width of the other vehicle added at either end. Meaningless where the node is masked.
@@ -25,6 +25,8 @@ class Encounters:
     ego_leave_s: FloatArray
     other_enter_s: FloatArray
     other_leave_s: FloatArray
+    ego_room_m: FloatArray  # from the front bumper to where the vehicle enters
+    other_room_m: FloatArray
 
     def predicted_encroachment_s(self) -> FloatArray:
         """Predictive encroachment time [E, M]: from the first leaving to the second entering.
@@ -50,13 +52,20 @@ def encounters(scene: Scene, prediction: Prediction) -> Encounters:
     reach = 0.5 * scene.size_m[:, 0]
     width = 0.5 * scene.size_m[:, 1]
 
-    def times(vehicle: np.ndarray, partner: np.ndarray, to_m: FloatArray) -> list[FloatArray]:
-        margin = reach[vehicle] + width[partner]
-        return [arrival_s(travelled, vehicle, to_m + sign * margin) for sign in (-1.0, 1.0)]
-
-    ego_times = times(ego, other, graphs.ego_to_conflict_m)
-    other_times = times(other, ego, graphs.rear_to_conflict_m)
-    return Encounters(*ego_times, *other_times)
+    ego_margin = reach[ego] + width[other]
+    other_margin = reach[other] + width[ego]
+    ego_room, other_room = (
+        graphs.ego_to_conflict_m - ego_margin,
+        graphs.rear_to_conflict_m - other_margin,
+    )
+    return Encounters(
+        ego_enter_s=arrival_s(travelled, ego, ego_room),
+        ego_leave_s=arrival_s(travelled, ego, ego_room + 2.0 * ego_margin),
+        other_enter_s=arrival_s(travelled, other, other_room),
+        other_leave_s=arrival_s(travelled, other, other_room + 2.0 * other_margin),
+        ego_room_m=ego_room,
+        other_room_m=other_room,
+    )
 
 
 def arrival_s(travelled_m: FloatArray, vehicle: np.ndarray, distance_m: FloatArray) -> FloatArray:
@@ -81,7 +90,7 @@ def required_deceleration_mps2(
     """DRAC: constant braking that lets a vehicle arrive no earlier than `time_s` from now.
 
     2 (v t - d) / t^2 while it still rolls then, v^2 / 2d where it has to stop before; 0 where it
-    would come later anyhow (after Archer 2005, eq. 4.6, with the arrival of the other as the limit).
+    would come later anyhow (after Archer 2005, eq. 4.6; the limit is the arrival of the other).
     """
     time = np.maximum(time_s, 1e-3)
     rolling = 2.0 * (speed_mps * time - distance_m) / time**2

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from hatn_sim.assist.risk import Encounters, required_deceleration_mps2
-from hatn_sim.datatypes import Kind, Prediction, Scene, Suggestion
+from hatn_sim.datatypes import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Kind,
+    Prediction,
+    Scene,
+    SemanticGraphs,
+    Suggestion,
+)
 
 ABSTAIN_MARGIN: Final = 0.2
 """No advice where the best two slots are nearer than this."""
@@ -37,77 +48,112 @@ def suggest(
     graphs, chances = prediction.graphs, prediction.slot_probability
     assert graphs is not None and chances is not None
     choice = graphs.has_conflict & (graphs.focus_mask.sum(axis=1) > 1)
-    out: list[Suggestion] = []
-    slot_of: dict[str, str] = {}
-    for e in np.flatnonzero(choice).tolist():
-        ego_id = scene.ids[graphs.ego[e]]
-        if egos is not None and ego_id not in egos:
-            continue
-        nodes = np.flatnonzero(graphs.focus_mask[e])
-        chance = chances[e, nodes]
-        order = np.argsort(-chance, kind="stable")
-        best = int(nodes[order[0]])
-        names = {int(m): scene.ids[graphs.rear[e, m]] for m in nodes}
-        told = next((m for m, name in names.items() if name == state.slot_of.get(ego_id)), None)
-        if told is not None and chances[e, best] - chances[e, told] < SWITCH_MARGIN:
-            best = told
-        rest = np.delete(chance, np.flatnonzero(nodes == best))
-        margin = float(chances[e, best] - rest.max())
-        slot_of[ego_id] = names[best]
-        out.append(_make(scene, prediction, meeting, e, best, nodes, margin))
-    return SuggestionState(slot_of), tuple(out)
+    rows = [
+        e
+        for e in np.flatnonzero(choice).tolist()
+        if egos is None or scene.ids[graphs.ego[e]] in egos
+    ]
+    if not rows:
+        return SuggestionState(), ()
+    slots = [
+        _choose(state, scene, graphs, chances[e], e, np.flatnonzero(graphs.focus_mask[e]).tolist())
+        for e in rows
+    ]
+    plan = _plan(scene, graphs, meeting, np.array(rows), np.array([slot for slot, _ in slots]))
+    out = tuple(
+        _make(scene, graphs.ego[e], slot, float(chances[e, slot]), margin, plan, k)
+        for k, (e, (slot, margin)) in enumerate(zip(rows, slots, strict=True))
+    )
+    told = {
+        one.ego_id: scene.ids[graphs.rear[e, slot]]
+        for one, e, (slot, _) in zip(out, rows, slots, strict=True)
+    }
+    return SuggestionState(told), out
+
+
+def _choose(
+    state: SuggestionState,
+    scene: Scene,
+    graphs: SemanticGraphs,
+    chances: FloatArray,
+    e: int,
+    nodes: list[int],
+) -> tuple[int, float]:
+    """The slot of an ego and its margin to the next best; the one told before unless beaten."""
+    chance = {m: float(chances[m]) for m in nodes}
+    best = max(nodes, key=lambda m: chance[m])
+    before = state.slot_of.get(scene.ids[graphs.ego[e]])
+    for m in nodes:
+        if scene.ids[graphs.rear[e, m]] == before and chance[best] - chance[m] < SWITCH_MARGIN:
+            best = m
+    return best, chance[best] - max(chance[m] for m in nodes if m != best)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """How each advised ego [R] would take its slot."""
+
+    other: IntArray  # the vehicle to pass before, or to let go first
+    target_s: FloatArray
+    advised_mps: FloatArray
+    feasible: BoolArray
+
+
+def _plan(
+    scene: Scene, graphs: SemanticGraphs, meeting: Encounters, row: IntArray, slot: IntArray
+) -> _Plan:
+    others = graphs.focus_mask[row].copy()
+    others[:, 0] = False
+    # On yield: the one that is predicted to come first is let go.
+    first = np.where(others, meeting.other_enter_s[row], np.inf).argmin(axis=1)
+    yields = slot == 0
+    node = np.where(yields, first, slot)
+    distance = np.maximum(graphs.ego_to_conflict_m[row, node], 0.1)
+    speed = scene.speed_mps[graphs.ego[row]]
+    # To pass: be there before the other comes, no later than one would be there anyhow.
+    before = np.minimum(meeting.ego_enter_s[row, node], meeting.other_enter_s[row, node])
+    target = np.where(yields, meeting.other_leave_s[row, node], before)
+    brake = required_deceleration_mps2(distance, speed, target)
+    push = 2.0 * (distance - speed * target) / np.maximum(target, 0.1) ** 2
+    limit = np.maximum(speed, graphs.context[row, 0, 0])
+    return _Plan(
+        other=graphs.rear[row, node],
+        target_s=target,
+        advised_mps=np.minimum(distance / np.maximum(target, 0.1), limit),
+        feasible=np.where(yields, brake <= COMFORT_BRAKING_MPS2, push <= COMFORT_ACCELERATION_MPS2),
+    )
 
 
 def _make(
     scene: Scene,
-    prediction: Prediction,
-    meeting: Encounters,
-    e: int,
+    ego: int,
     slot: int,
-    nodes: np.ndarray,
+    probability: float,
     margin: float,
+    plan: _Plan,
+    k: int,
 ) -> Suggestion:
-    graphs, chances = prediction.graphs, prediction.slot_probability
-    assert graphs is not None and chances is not None
-    ego = int(graphs.ego[e])
-    others = nodes[nodes > 0]
-    # On yield: the one that is predicted to come first is let go.
-    node = slot if slot else int(others[np.argmin(meeting.other_enter_s[e, others])])
-    other = int(graphs.rear[e, node])
-    distance_m = float(max(graphs.ego_to_conflict_m[e, node], 0.1))
-    speed_mps = float(scene.speed_mps[ego])
-    if slot == 0:
-        target_s = float(meeting.other_leave_s[e, node])
-        brake = required_deceleration_mps2(
-            np.array(distance_m), np.array(speed_mps), np.array(target_s)
-        )
-        feasible = float(brake) <= COMFORT_BRAKING_MPS2
-    else:
-        # Be gone before the other comes; no later than one would be there anyhow.
-        target_s = float(min(meeting.ego_enter_s[e, node], meeting.other_enter_s[e, node]))
-        needed = 2.0 * (distance_m - speed_mps * target_s) / max(target_s, 0.1) ** 2
-        feasible = needed <= COMFORT_ACCELERATION_MPS2
     action = "abstain" if margin < ABSTAIN_MARGIN else ("pass" if slot else "yield")
-    advised_mps = distance_m / max(target_s, 0.1)
-    limit_mps = max(speed_mps, float(graphs.context[e, 0, 0]))
+    other, target_s = int(plan.other[k]), float(plan.target_s[k])
+    feasible = bool(plan.feasible[k])
     return Suggestion(
         ego_id=scene.ids[ego],
         time_s=scene.time_s,
         action=action,
         slot_id=scene.ids[other],
-        probability=float(chances[e, slot]),
+        probability=probability,
         margin=margin,
         target_time_s=target_s,
-        advised_speed_mps=min(advised_mps, limit_mps),
+        advised_speed_mps=float(plan.advised_mps[k]),
         feasible=feasible,
         text=_words(scene, ego, other, action, target_s, feasible),
     )
 
 
-def _words(
-    scene: Scene, ego: int, other: int, action: str, target_s: float, feasible: bool
-) -> str:
-    who = f"the {_colour(scene.colour[other])} {Kind(int(scene.kind[other])).name.lower()}"
+def _words(scene: Scene, ego: int, other: int, action: str, target_s: float, feasible: bool) -> str:
+    who = (
+        f"the {_colour(*scene.colour[other].tolist())} {Kind(int(scene.kind[other])).name.lower()}"
+    )
     who += f" {_side(scene, ego, other)}"
     if action == "abstain":
         return f"Watch {who}: too close to call"
@@ -119,12 +165,11 @@ def _words(
 
 
 def _side(scene: Scene, ego: int, other: int) -> str:
-    away = scene.xy_m[other] - scene.xy_m[ego]
-    bearing = np.arctan2(away[1], away[0]) - scene.yaw_rad[ego]
-    bearing = float((bearing + np.pi) % (2 * np.pi) - np.pi)
-    if abs(bearing) < np.pi / 8:
+    x, y = (scene.xy_m[other] - scene.xy_m[ego]).tolist()
+    bearing = math.remainder(math.atan2(y, x) - float(scene.yaw_rad[ego]), math.tau)
+    if abs(bearing) < math.pi / 8:
         return "ahead"
-    if abs(bearing) > 7 * np.pi / 8:
+    if abs(bearing) > 7 * math.pi / 8:
         return "behind"
     return "from the left" if bearing > 0 else "from the right"
 
@@ -144,5 +189,12 @@ _COLOURS: Final = {
 }
 
 
-def _colour(rgb: np.ndarray) -> str:
-    return min(_COLOURS, key=lambda name: float(((np.array(_COLOURS[name]) - rgb) ** 2).sum()))
+@lru_cache(maxsize=4096)
+def _colour(red: int, green: int, blue: int) -> str:
+    """The nearest of the named colours."""
+
+    def distance(name: str) -> int:
+        r, g, b = _COLOURS[name]
+        return (r - red) ** 2 + (g - green) ** 2 + (b - blue) ** 2
+
+    return min(_COLOURS, key=distance)

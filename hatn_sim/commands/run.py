@@ -1,8 +1,8 @@
 """Simulate a scene with a predictor on every vehicle, at every tenth of a second.
 
 SCENE is the name of a scene that ships (`hatn-sim scenarios`), a scenario.toml, or your own
-.sumocfg. A folder is left behind with the tracks, the predictions, suggestions, alerts, scores, a
-picture and an animation; the scores are printed at the end.
+.sumocfg. A folder is left behind with tracks, predictions, suggestions, alerts, scores and a
+picture; the scores are printed at the end.
 """
 
 from __future__ import annotations
@@ -162,14 +162,11 @@ def _simulate(
     writer: RunWriter,
 ) -> Simulated:
     from hatn_sim.commands.progress import Progress
-    from hatn_sim.loop import Adviser, run
+    from hatn_sim.loop import Adviser, run, warm_up
 
     egos = None if arguments.egos is None else frozenset(arguments.egos)
     advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]
-    for _ in range(round(arguments.warm_up / simulator.dt_s)):
-        if frame.done:
-            break
-        frame = simulator.step()
+    frame = warm_up(simulator, frame, round(arguments.warm_up / simulator.dt_s))
     total = max(1, round(arguments.duration / simulator.dt_s))
     began = time.monotonic()
     with Progress(simulator.scenario.name, total, simulator.dt_s, arguments.quiet) as progress:
@@ -178,7 +175,7 @@ def _simulate(
             writer.write(index, frame, advice)
             progress.show(index + 1, len(frame.scene.ids))
 
-        frames = run(simulator, advisers, frame, warm_up=0, frames=total, write=write)
+        frames = run(simulator, advisers, frame, total, write)
     if frames < total and not arguments.quiet:
         print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
     return Simulated(frames, began, time.monotonic() - began)
@@ -210,7 +207,9 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     )
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
-    print(f"log, scores and pictures in {out}" if pictures else f"log and scores in {out}")
+    print(f"log, scores and picture in {out}" if pictures else f"log and scores in {out}")
+    if pictures:
+        print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
     return 0
 
 
@@ -219,7 +218,7 @@ def _draw(logged: Any, out: Path, quiet: bool) -> list[Path]:
     from hatn_sim.errors import InputError
 
     try:
-        return draw(logged, out, animate=True)
+        return draw(logged, out, animate=False)
     except InputError as error:
         if not quiet:
             print(f"hatn-sim: no picture: {error}", file=sys.stderr)

@@ -106,9 +106,7 @@ def graph_batch(graphs: SemanticGraphs) -> GraphBatch:
     )
 
 
-def _to_map(
-    road: Road, seen: Perception, graphs: SemanticGraphs, future: FloatArray
-) -> FloatArray:
+def _to_map(road: Road, seen: Perception, graphs: SemanticGraphs, future: FloatArray) -> FloatArray:
     """Positions [E, F, 2] of (s - s_t, d - d_t) [E, F, 2]; shifted so that now is exactly now."""
     line = seen.lines.line[graphs.ego]
     s, d = seen.lines.s_m[graphs.ego], seen.lines.d_m[graphs.ego]

@@ -1,8 +1,14 @@
 """The semantic graph network (the paper's section 4.2): which slot, and how far in three seconds.
 
 Two recurrent encoders read the absolute and the relative history of every node, attention over
-ordered pairs relates them, and each node gets an insertion score and a Gaussian mixture over the
-distance that its rear vehicle will travel.
+ordered pairs relates them, and each node gets a score and a Gaussian mixture over the distance that
+its rear vehicle will travel.
+
+The slot an ego takes is decided by the order in which vehicles cross the focus. So a node's score
+is the utility of its rear vehicle in a race (Plackett 1975, Luce 1959): the probability that one is
+the first of some to cross is the softmax of their scores. To yield is that the ego is not first; to
+pass before j is that the ego is first and j is first of the others. A plain softmax over nodes, the
+paper's form, has to learn this composition from data, and loses it on a scene it has not seen.
 """
 
 from __future__ import annotations
@@ -12,7 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from hatn_sim.graph import CONTEXT_SIZE, ROAD_CONTEXT
+from hatn_sim.graph import CONTEXT, CONTEXT_SIZE, ROAD_CONTEXT
 
 # Fixed scales, never fitted to a scene: d_f, v_f, phi_f, d_r, v_r, phi_r, l.
 FEATURE_SCALE = (30.0, 10.0, 1.0, 30.0, 10.0, 1.0, 30.0)
@@ -25,6 +31,12 @@ CONTEXT_SCALE = (
     *(3.0, 2.0, 30.0, 10.0, 1.0),
     *(5.0, 5.0),
 )
+RACE_FEATURES = (
+    CONTEXT.index("earliest_s of the rear vehicle at the conflict, up to FAR_S"),
+    CONTEXT.index("gate ahead of the rear vehicle before the conflict"),
+    CONTEXT.index("waited_s of the rear vehicle"),
+)
+"""What tells who is first anywhere: it goes to the score directly, besides through the network."""
 GOAL_SCALE_M = 10.0
 MIN_GOAL_STD_M = 0.1
 HORIZON_S = 3.0
@@ -55,7 +67,7 @@ class GraphBatch:
 class Intention:
     """What the network says of every node."""
 
-    slot_logit: Tensor  # [E, M], -inf outside the focus group
+    slot_logit: Tensor  # [E, M] log probability, -inf outside the focus group
     goal_log_weight: Tensor  # [E, M, C]
     goal_mean_m: Tensor  # [E, M, C]
     goal_std_m: Tensor  # [E, M, C]
@@ -89,7 +101,9 @@ class SemanticGraphNetwork(nn.Module):
         self.combine = nn.Linear(2 * width, width)
         self.evolve = _dense(2 * width, width)
         self.dropout = nn.Dropout(settings.dropout)
-        self.slot_head = nn.Sequential(_dense(2 * width, width), nn.Linear(width, 1))
+        self.race_head = nn.Sequential(_dense(width, width), nn.Linear(width, 1))
+        self.race_skip = nn.Linear(len(RACE_FEATURES), 1, bias=False)
+        self.ego_bias = nn.Parameter(torch.zeros(()))
         # The road ahead says how far, not who goes first: it is kept from the slots, where it
         # would only tell one place from another.
         self.road_encoder = _dense(ROAD_CONTEXT + 1, width)
@@ -114,7 +128,11 @@ class SemanticGraphNetwork(nn.Module):
         z = self.dropout(z)
         speed = absolute[:, -1, 4:5]
         road = self.road_encoder(torch.cat((road, speed), -1))
-        return self._heads(z, road, x, mask, batch)
+        first = context[:, RACE_FEATURES]
+        utility = z.new_zeros(mask.shape)
+        utility[mask] = (self.race_head(z) + self.race_skip(first))[:, 0]
+        utility[:, 0] = utility[:, 0] + self.ego_bias
+        return self._intention(utility, torch.cat((z, road), -1), x, batch)
 
     def _attend(self, h_rel: Tensor, mask: Tensor) -> Tensor:
         padded = h_rel.new_zeros((*mask.shape, h_rel.shape[-1]))
@@ -124,24 +142,38 @@ class SemanticGraphNetwork(nn.Module):
         score = score.masked_fill(~mask.unsqueeze(1), float("-inf"))
         return (score.softmax(-1) @ padded)[mask]
 
-    def _heads(
-        self, z: Tensor, road: Tensor, x: Tensor, mask: Tensor, batch: GraphBatch
+    def _intention(
+        self, utility: Tensor, for_goals: Tensor, x: Tensor, batch: GraphBatch
     ) -> Intention:
-        padded = z.new_zeros((*mask.shape, z.shape[-1]))
-        padded[mask] = z
-        pair = torch.cat((z, padded[:, :1].expand_as(padded)[mask]), -1)
-        logit = z.new_full(mask.shape, float("-inf"))
-        logit[mask] = self.slot_head(pair)[:, 0]
-        out = z.new_zeros((*mask.shape, 3, self.settings.components))
-        out[mask] = self.goal_head(torch.cat((z, road), -1)).view(len(z), 3, -1)
+        mask = batch.node_mask
+        out = for_goals.new_zeros((*mask.shape, 3, self.settings.components))
+        out[mask] = self.goal_head(for_goals).view(len(for_goals), 3, -1)
         # The goal's means start from the distance at today's speed.
         base_m = x[:, :, -1, 4:5] * (10.0 * HORIZON_S)
         return Intention(
-            slot_logit=logit.masked_fill(~batch.focus_mask, float("-inf")),
+            slot_logit=race_log_probability(utility, batch.focus_mask),
             goal_log_weight=out[:, :, 0].log_softmax(-1),
             goal_mean_m=nn.functional.softplus(base_m + GOAL_SCALE_M * out[:, :, 1]),
             goal_std_m=MIN_GOAL_STD_M + GOAL_SCALE_M * nn.functional.softplus(out[:, :, 2] - 2.0),
         )
+
+
+def race_log_probability(utility: Tensor, focus_mask: Tensor) -> Tensor:
+    """Log probabilities [E, M] of the slots from the utilities [E, M] of a race to the focus.
+
+    Node 0: the ego is not first. Node j: the ego is first, and j the first of the others. An ego
+    that is alone has its own slot for certain. -inf outside the focus group.
+    """
+    lowest = float("-inf")
+    own = utility[:, :1]
+    others = utility.masked_fill(~focus_mask, lowest)[:, 1:]
+    alone = ~focus_mask[:, 1:].any(-1, keepdim=True)
+    # An ego that is alone would meet only -inf here; its row is overwritten below.
+    of_others = others.masked_fill(alone, 0.0).logsumexp(-1, keepdim=True)
+    of_all = torch.logaddexp(own, of_others)
+    not_first = (of_others - of_all).masked_fill(alone, 0.0)
+    passing = ((own - of_all) + (others - of_others)).masked_fill(~focus_mask[:, 1:], lowest)
+    return torch.cat((not_first, passing), -1)
 
 
 def _dense(inputs: int, width: int) -> nn.Sequential:
@@ -150,7 +182,11 @@ def _dense(inputs: int, width: int) -> nn.Sequential:
 
 
 def sgn_loss(
-    intention: Intention, batch: GraphBatch, goal_m: Tensor, goal_mask: Tensor, slot: Tensor,
+    intention: Intention,
+    batch: GraphBatch,
+    goal_m: Tensor,
+    goal_mask: Tensor,
+    slot: Tensor,
     class_weight: float,
 ) -> tuple[Tensor, Tensor]:
     """Negative log likelihood of all nodes' goals, and cross-entropy of the slot (paper, eq. 11).
@@ -169,5 +205,5 @@ def sgn_loss(
     several = (slot >= 0) & (batch.focus_mask.sum(-1) > 1)
     if not bool(several.any()):
         return regression, regression.new_zeros(())
-    classes = nn.functional.cross_entropy(intention.slot_logit[several], slot[several])
+    classes = nn.functional.nll_loss(intention.slot_logit[several], slot[several])
     return regression, class_weight * classes

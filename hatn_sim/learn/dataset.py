@@ -1,4 +1,4 @@
-"""Frames -> what the networks learn from: graphs and histories, with labels from what came after."""
+"""Frames -> what the networks learn from: graphs, histories, and labels from what came after."""
 
 from __future__ import annotations
 

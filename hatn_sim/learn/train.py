@@ -23,6 +23,7 @@ from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
 from hatn_sim.hatn.sgn import GraphBatch, SemanticGraphNetwork, SgnSettings, sgn_loss
 from hatn_sim.hatn.weights_io import save_weights
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
+from hatn_sim.loop import warm_up
 
 WARM_UP_S = 60.0
 """Traffic builds up for this long before samples are taken."""
@@ -64,16 +65,12 @@ def simulate_samples(run: RunOfTraffic) -> Samples:
     from hatn_sim.simulators.sumo import SumoSimulator
 
     with SumoSimulator(load_scenario(run.scene, run.density, run.risk)) as simulator:
-        first = simulator.reset(run.seed)
+        first = warm_up(simulator, simulator.reset(run.seed), round(WARM_UP_S / simulator.dt_s))
 
         def frames() -> Iterator[Frame]:
-            frame = first
-            for _ in range(round(WARM_UP_S / simulator.dt_s)):
-                frame = simulator.step()
-            yield frame
+            yield first
             for _ in range(round(run.duration_s / simulator.dt_s)):
-                frame = simulator.step()
-                yield frame
+                yield simulator.step()
 
         return samples_of_run(simulator.road, frames())
 
@@ -206,9 +203,7 @@ def train_edn(
     )
 
     def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
-        predicted = model(
-            torch.from_numpy(samples.history[rows]), torch.from_numpy(goals[rows])
-        )
+        predicted = model(torch.from_numpy(samples.history[rows]), torch.from_numpy(goals[rows]))
         mask = torch.from_numpy(samples.future_mask[rows]).float() * by_step
         return edn_loss(predicted, torch.from_numpy(samples.future[rows]), mask)
 
@@ -216,7 +211,9 @@ def train_edn(
         errors = []
         for rows in _batches(len(tune), 2048):
             with torch.no_grad():
-                out = model(torch.from_numpy(tune.history[rows]), torch.from_numpy(tune_goals[rows]))
+                out = model(
+                    torch.from_numpy(tune.history[rows]), torch.from_numpy(tune_goals[rows])
+                )
             distance = np.linalg.norm(out.numpy() - tune.future[rows], axis=-1)
             errors.append(distance[tune.future_mask[rows].all(axis=1)])
         distance = np.concatenate(errors)
@@ -252,7 +249,9 @@ def _fit(
             loss = loss_of(learn, rows)
             if not bool(torch.isfinite(loss)):
                 model.load_state_dict(best_state)
-                raise HatnSimError(f"training {name}: the loss became {loss.item()} in epoch {epoch}")
+                raise HatnSimError(
+                    f"training {name}: the loss became {loss.item()} in epoch {epoch}"
+                )
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(model.parameters(), 1.0)

@@ -88,8 +88,9 @@ def _roll_out(road: Road, seen: Perception) -> FloatArray:
     out = np.zeros((len(s), HORIZON_FRAMES))
     for frame in range(HORIZON_FRAMES):
         # A leader on no line of its own keeps its speed, on one it is rolled out as well.
-        travelled = np.where(seen.lines.line[lead] >= 0, s[lead] - start[lead],
-                             scene.speed_mps[lead] * DT_S * frame)
+        travelled = np.where(
+            seen.lines.line[lead] >= 0, s[lead] - start[lead], scene.speed_mps[lead] * DT_S * frame
+        )
         gap = np.where(has_leader, lead_s + travelled - s, np.inf)
         column = np.minimum(((s - start) / PROFILE_STEP_M).astype(np.int64), allowed.shape[1] - 1)
         desired = np.minimum(DESIRED_SPEED_MPS, allowed[np.arange(len(s)), column])

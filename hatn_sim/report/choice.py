@@ -87,9 +87,7 @@ def _wanted(
     return wanted
 
 
-def _choices(
-    run: Run, table: PredictionTable, stays: BoolArray
-) -> tuple[IntArray, BoolArray]:
+def _choices(run: Run, table: PredictionTable, stays: BoolArray) -> tuple[IntArray, BoolArray]:
     """Rows [R] of egos with a choice, everybody in view for 3 s, and their others' slots [R, M]."""
     others = table.slot_in_focus & table.slot_mask
     others[:, :1] = False

@@ -61,9 +61,7 @@ def _draw_pill(
     sheet: Sheet, label: Label, centre: FloatArray, words: str, colour: Any, size_pt: float
 ) -> list[Artist]:
     axes, (wide_m, high_m) = sheet.map, label.size_m
-    (leader,) = axes.plot(
-        *np.stack((label.anchor_xy_m, centre)).T, color=INK, lw=0.8, zorder=9.5
-    )
+    (leader,) = axes.plot(*np.stack((label.anchor_xy_m, centre)).T, color=INK, lw=0.8, zorder=9.5)
     pill = FancyBboxPatch(
         (float(centre[0]) - 0.5 * wide_m, float(centre[1]) - 0.5 * high_m),
         wide_m,

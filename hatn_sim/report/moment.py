@@ -94,9 +94,7 @@ def read_moments(run: Run, first: int, count: int, ego_id: str) -> Iterator[Mome
         InputError: no such frame or vehicle, no predictions, or no lanes beside the log.
     """
     if not 0 <= first < run.frame_count:
-        raise InputError(
-            f"{run.path}: no frame {first}; expected 0 to {run.frame_count - 1}"
-        )
+        raise InputError(f"{run.path}: no frame {first}; expected 0 to {run.frame_count - 1}")
     if ego_id not in run.ids:
         raise InputError(f"{run.path}: no vehicle {ego_id!r} in this run; see its tracks for ids")
     table = main_predictions(run)

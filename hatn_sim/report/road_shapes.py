@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import BoolArray, FloatArray, Gate, Kind, Lane
 from hatn_sim.geometry import resample, tangent_rad
@@ -106,11 +106,11 @@ def _surface(lanes: Sequence[Lane], box: Box, radius_m: float) -> Surface | None
         points = np.concatenate(lines)
         points = points[box.near(points, margin_m + width_m)]
         if len(points):
-            away_m, _ = cKDTree(points).query(grid)
+            away_m, _ = KDTree(points).query(grid)
             outside = np.minimum(outside, away_m - 0.5 * width_m)
     rim = _crossings(x, y, outside.reshape(len(y), len(x)) - radius_m)
     if len(rim):
-        deep_m, _ = cKDTree(rim).query(grid)
+        deep_m, _ = KDTree(rim).query(grid)
         outside = np.where(outside < radius_m, np.minimum(outside, radius_m - deep_m), outside)
     return Surface(x, y, gaussian_filter(outside.reshape(len(y), len(x)), 1.0))
 
@@ -150,7 +150,7 @@ def _markings(
     grid = (asphalt.y_m, asphalt.x_m)
     outside = RegularGridInterpolator(grid, asphalt.outside_m, bounds_error=False, fill_value=0.0)
     points = [resample(lane.xy_m, 0.5) for lane in lanes]
-    tree = cKDTree(np.concatenate(points))
+    tree = KDTree(np.concatenate(points))
     owner = np.repeat(np.arange(len(lanes)), [len(p) for p in points])
     yaw_rad = np.concatenate([tangent_rad(p) for p in points])
     width_m = np.array([lane.width_m for lane in lanes])
