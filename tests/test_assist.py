@@ -122,8 +122,8 @@ def test_an_alert_is_an_interval_of_a_pair() -> None:
     scene, prediction = moment(collision, {})
     state, first = alert(AlertState(), scene, prediction, encounters(scene, prediction), None)
     assert [(one.edge, {one.ego_id, one.other_id}) for one in first] == [("onset", {"a", "b"})]
-    # 15 m at 12 m/s: to stop takes 144 / 30 = 4.8 m/s2; to let the other leave first a little less.
-    assert 3.0 < first[0].severity * 9.0 <= 4.81
+    # 11.5 m to the area at 12 m/s; the other is gone after 18.5 m: 2 (18.5 - 11.5) / (18.5 / 12)^2.
+    assert first[0].severity * 9.0 == pytest.approx(14.0 / (18.5 / 12) ** 2, rel=0.02)
     state, again = alert(state, scene, prediction, encounters(scene, prediction), None)
     assert again == ()
     for time_s in (0.3, 2.0):
