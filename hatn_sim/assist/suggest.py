@@ -113,7 +113,7 @@ def _plan(
     # To pass: be there before the other comes, no later than one would be there anyhow.
     before = np.minimum(meeting.ego_enter_s[row, node], meeting.other_enter_s[row, node])
     target = np.where(yields, meeting.other_leave_s[row, node], before)
-    brake = required_deceleration_mps2(distance, speed, target)
+    brake = required_deceleration_mps2(meeting.ego_room_m[row, node], speed, target)
     push = 2.0 * (distance - speed * target) / np.maximum(target, 0.1) ** 2
     limit = np.maximum(speed, graphs.context[row, 0, 0])
     return _Plan(
@@ -151,10 +151,8 @@ def _make(
 
 
 def _words(scene: Scene, ego: int, other: int, action: str, target_s: float, feasible: bool) -> str:
-    who = (
-        f"the {_colour(*scene.colour[other].tolist())} {Kind(int(scene.kind[other])).name.lower()}"
-    )
-    who += f" {_side(scene, ego, other)}"
+    colour, kind = _colour(*scene.colour[other].tolist()), Kind(int(scene.kind[other]))
+    who = f"the {colour} {kind.name.lower()} {_side(scene, ego, other)}"
     if action == "abstain":
         return f"Watch {who}: too close to call"
     if action == "pass":

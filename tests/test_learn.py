@@ -1,0 +1,106 @@
+"""Samples against the simulation they were cut from, and a small training from end to end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hatn_sim.config import load_scenario
+from hatn_sim.datatypes import Frame
+from hatn_sim.errors import InputError
+from hatn_sim.hatn.weights_io import load_weights
+from hatn_sim.learn.dataset import Samples, samples_of_run
+from hatn_sim.learn.train import TrainingPlan, train
+from hatn_sim.loop import warm_up
+from hatn_sim.road import Road
+from hatn_sim.simulators.sumo import SumoSimulator
+
+
+@pytest.fixture(scope="module")
+def traffic() -> tuple[Road, list[Frame]]:
+    with SumoSimulator(load_scenario("intersection4_allway")) as simulator:
+        frame = warm_up(simulator, simulator.reset(11), 300)
+        frames = [frame, *(simulator.step() for _ in range(150))]
+        return simulator.road, frames
+
+
+@pytest.fixture(scope="module")
+def cut(traffic: tuple[Road, list[Frame]]) -> Samples:
+    return samples_of_run(*traffic, use_routes=True)
+
+
+def test_there_is_a_row_for_every_vehicle_with_eleven_frames_behind_it(
+    traffic: tuple[Road, list[Frame]], cut: Samples
+) -> None:
+    _, frames = traffic
+    expected = 0
+    for index in range(10, len(frames), 5):
+        whole = set.intersection(*(set(f.scene.ids) for f in frames[index - 10 : index + 1]))
+        expected += len(whole)
+    assert len(cut) == expected
+
+
+def test_goals_and_futures_are_what_the_simulator_then_did(
+    traffic: tuple[Road, list[Frame]], cut: Samples
+) -> None:
+    """On one's own line the distance travelled is the advance along it, up to the corners cut."""
+    known = cut.goal_mask[:, 0] & cut.future_mask.all(axis=1)
+    assert known.mean() > 0.5
+    advance = cut.future[known, -1, 0]
+    np.testing.assert_allclose(cut.goal_m[known, 0], advance, atol=0.6)
+    # SUMO drives v dt a step: the last increment is the speed 0.1 s before the end.
+    speed = cut.history[known, -1, 2]
+    first_step = cut.future[known, 0, 0]
+    np.testing.assert_allclose(first_step, speed * 0.1, atol=0.12)
+    assert np.abs(cut.future[known, :, 1]).max() < 1.5
+    assert traffic[1]
+
+
+def test_slots_are_labelled_for_egos_with_a_choice_only(cut: Samples) -> None:
+    labelled = cut.slot >= 0
+    assert labelled.any()
+    rows = np.flatnonzero(labelled)
+    assert cut.focus_mask[rows, cut.slot[rows]].all()
+    assert (cut.focus_mask[rows].sum(axis=1) > 1).all()
+
+
+def test_a_training_writes_weights_and_a_card_and_repeats_itself(tmp_path: Path) -> None:
+    plan = TrainingPlan(
+        scenes=("intersection4_allway",),
+        seeds=(1,),
+        tune_seeds=(2,),
+        duration_s=20.0,
+        sgn_epochs=1,
+        edn_epochs=1,
+        workers=1,
+    )
+    said: list[str] = []
+    cards = []
+    for name in ("a", "b"):
+        out = tmp_path / f"{name}.safetensors"
+        cards.append(train(plan, out, "hatn-sim train ...", said.append))
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+    assert (
+        cards[0]
+        == cards[1]
+        == {
+            key: value
+            for key, value in json.loads((tmp_path / "a.json").read_text()).items()
+            if key in cards[0]
+        }
+    )
+    assert cards[0]["seeds"] == [1]
+    assert cards[0]["samples"] > 100
+    assert any(line.startswith("EDN epoch 1 of 1") for line in said)
+    weights = load_weights(tmp_path / "a.safetensors")
+    assert all(torch.isfinite(value).all() for value in weights.sgn.state_dict().values())
+
+
+def test_seeds_that_overlap_are_refused(tmp_path: Path) -> None:
+    plan = TrainingPlan(("intersection5",), (1, 2), (2, 3), 10.0)
+    with pytest.raises(InputError, match=r"--seeds and --tune share \[2\]"):
+        train(plan, tmp_path / "w.safetensors", "", print)
