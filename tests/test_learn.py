@@ -13,8 +13,9 @@ from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame
 from hatn_sim.errors import InputError
 from hatn_sim.hatn.weights_io import load_weights
+from hatn_sim.learn.augment import free_travel_m, scale_future, scale_graphs, scale_history
 from hatn_sim.learn.dataset import Samples, samples_of_run
-from hatn_sim.learn.train import TrainingPlan, train
+from hatn_sim.learn.train import TrainingPlan, graph_batch, train
 from hatn_sim.loop import warm_up
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
@@ -104,3 +105,32 @@ def test_seeds_that_overlap_are_refused(tmp_path: Path) -> None:
     plan = TrainingPlan(("intersection5",), (1, 2), (2, 3), 10.0)
     with pytest.raises(InputError, match=r"--seeds and --tune share \[2\]"):
         train(plan, tmp_path / "w.safetensors", "", print)
+
+
+def test_the_coarse_free_travel_is_that_of_the_graphs(cut: Samples) -> None:
+    """Two implementations: from the whole line in NumPy, from its samples in torch."""
+    rows = np.flatnonzero(cut.goal_mask[:, 0])[:400]
+    batch = graph_batch(cut, rows)
+    free = free_travel_m(batch.context[:, 0, :11], batch.context[:, 0, 11:22], batch.x[:, 0, -1, 4])
+    difference = (free - batch.context[:, 0, 22]).abs()
+    # Samples are 4 to 10 m apart: a bend's beginning is known to within that.
+    assert float(difference.median()) < 0.5
+    assert float(difference.quantile(0.9)) < 4.0
+
+
+def test_scaling_keeps_times_and_scales_lengths(cut: Samples) -> None:
+    rows = np.flatnonzero(cut.goal_mask[:, 0])[:50]
+    batch = graph_batch(cut, rows)
+    double = torch.full((len(rows),), 2.0)
+    large = scale_graphs(batch, double)
+    moving = batch.x[:, 0, -1, 4] > 1.0
+    time_s = batch.x[moving, 0, -1, 3] / batch.x[moving, 0, -1, 4]
+    torch.testing.assert_close(large.x[moving, 0, -1, 3] / large.x[moving, 0, -1, 4], time_s)
+    torch.testing.assert_close(large.x[..., 2], batch.x[..., 2])
+    torch.testing.assert_close(large.x[..., 6], large.x[..., 3] - large.x[..., 0])
+    lateral = large.x[:, 0, -1, 4] ** 2 * large.context[:, 0, 11]
+    torch.testing.assert_close(lateral, 2.0 * batch.x[:, 0, -1, 4] ** 2 * batch.context[:, 0, 11])
+    history = scale_history(torch.from_numpy(cut.history[rows]), double)
+    future = scale_future(torch.from_numpy(cut.future[rows]), double)
+    np.testing.assert_array_equal(history[..., 1], cut.history[rows][..., 1])
+    np.testing.assert_allclose(future[:, -1, 0], 2.0 * cut.future[rows, -1, 0])

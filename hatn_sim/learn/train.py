@@ -22,6 +22,13 @@ from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
 from hatn_sim.hatn.sgn import GraphBatch, SemanticGraphNetwork, SgnSettings, sgn_loss
 from hatn_sim.hatn.weights_io import save_weights
+from hatn_sim.learn.augment import (
+    change_limits,
+    random_scale,
+    scale_future,
+    scale_graphs,
+    scale_history,
+)
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.loop import warm_up
 
@@ -139,11 +146,12 @@ def train_sgn(
     model = SemanticGraphNetwork(SgnSettings())
 
     def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
-        batch = graph_batch(samples, rows)
+        scale = random_scale(len(rows))
+        batch = scale_graphs(change_limits(graph_batch(samples, rows)), scale)
         regression, classes = sgn_loss(
             model(batch),
             batch,
-            torch.from_numpy(samples.goal_m[rows]),
+            torch.from_numpy(samples.goal_m[rows]) * scale[:, None],
             torch.from_numpy(samples.goal_mask[rows]),
             torch.from_numpy(samples.slot[rows]),
             model.settings.class_weight,
@@ -203,9 +211,12 @@ def train_edn(
     )
 
     def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
-        predicted = model(torch.from_numpy(samples.history[rows]), torch.from_numpy(goals[rows]))
+        scale = random_scale(len(rows))
+        history = scale_history(torch.from_numpy(samples.history[rows]), scale)
+        future = scale_future(torch.from_numpy(samples.future[rows]), scale)
+        predicted = model(history, torch.from_numpy(goals[rows]) * scale)
         mask = torch.from_numpy(samples.future_mask[rows]).float() * by_step
-        return edn_loss(predicted, torch.from_numpy(samples.future[rows]), mask)
+        return edn_loss(predicted, future, mask)
 
     def figures() -> dict[str, float]:
         errors = []

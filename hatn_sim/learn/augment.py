@@ -1,0 +1,114 @@
+"""Other places, from the samples of one: the same manoeuvres at another scale, under other limits.
+
+A junction drawn `k` times as large and driven `k` times as fast takes the same time. Limits that
+nobody keeps teach the networks to look at how a vehicle drives, not only at what it may.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from hatn_sim.graph import AHEAD_AT_M, CONTEXT
+from hatn_sim.hatn.sgn import GraphBatch
+from hatn_sim.speed_profile import (
+    ACCELERATION_MPS2,
+    BRAKING_MPS2,
+    FREE_STEP_S,
+    FREE_STEPS,
+    LATERAL_MPS2,
+)
+
+SCALE_STD: Final = 0.25
+"""Of the logarithm of the scale."""
+SCALE_RANGE: Final = (0.6, 2.0)
+LIMIT_RANGE: Final = (0.8, 2.0)
+"""Factors on the speed limits."""
+SHARE: Final = 0.5
+"""Of the samples are changed, by scale and by limit each."""
+
+_POINTS: Final = len(AHEAD_AT_M)
+_LENGTHS: Final = (0, 3, 6)  # of x: d_f, d_r, l
+_SPEEDS: Final = (1, 4)  # of x: v_f, v_r
+
+
+def _entry(start: str) -> int:
+    return next(index for index, name in enumerate(CONTEXT) if name.startswith(start))
+
+
+_FREE: Final = _entry("free_travel_m")
+_GROWING: Final = (
+    *range(_POINTS),
+    _FREE,
+    _entry("acceleration"),
+    _entry("distance_m"),
+    _entry("speed_mps of the leader"),
+)
+_CURVATURE: Final = slice(_POINTS, 2 * _POINTS)
+
+
+def random_scale(samples: int) -> Tensor:
+    """A scale [S] for each sample; 1 for those left as they are."""
+    scale = torch.exp(SCALE_STD * torch.randn(samples)).clamp(*SCALE_RANGE)
+    return torch.where(torch.rand(samples) < SHARE, scale, torch.ones(samples))
+
+
+def scale_graphs(batch: GraphBatch, scale: Tensor) -> GraphBatch:
+    """Graphs [E, ...] of places `scale` [E] times as large, driven in the same time."""
+    x, context = batch.x.clone(), batch.context.clone()
+    by = scale[:, None, None, None]
+    x[..., _LENGTHS + _SPEEDS] = x[..., _LENGTHS + _SPEEDS] * by
+    context[..., _GROWING] = context[..., _GROWING] * scale[:, None, None]
+    context[..., _CURVATURE] = context[..., _CURVATURE] / scale[:, None, None]
+    return replace(batch, x=x, context=context)
+
+
+def change_limits(batch: GraphBatch) -> GraphBatch:
+    """The same traffic under other speed limits, one factor for each graph."""
+    egos = len(batch.x)
+    low, high = LIMIT_RANGE
+    factor = low * (high / low) ** torch.rand(egos)
+    factor = torch.where(torch.rand(egos) < SHARE, factor, torch.ones(egos))
+    context = batch.context.clone()
+    context[..., :_POINTS] = context[..., :_POINTS] * factor[:, None, None]
+    changed = (factor != 1.0)[:, None] & batch.node_mask
+    free = free_travel_m(
+        context[..., :_POINTS], context[..., _CURVATURE], batch.x[:, :, -1, _SPEEDS[1]]
+    )
+    context[..., _FREE] = torch.where(changed, free, context[..., _FREE])
+    return replace(batch, context=context)
+
+
+def free_travel_m(limit_mps: Tensor, curvature_per_m: Tensor, speed_mps: Tensor) -> Tensor:
+    """`speed_profile.free_travel_m` from the samples of the road ahead [..., P] in graphs."""
+    at_m = torch.tensor(AHEAD_AT_M)
+    square = torch.minimum(limit_mps**2, LATERAL_MPS2 / curvature_per_m.abs().clamp(min=1e-4))
+    fall = 2.0 * BRAKING_MPS2 * at_m
+    reachable = (square + fall).flip(-1).cummin(-1).values.flip(-1) - fall
+    allowed = reachable.clamp(min=0.0).sqrt()
+    s = torch.zeros_like(speed_mps)
+    speed = speed_mps
+    for _ in range(FREE_STEPS):
+        ahead = s + speed * FREE_STEP_S
+        column = torch.searchsorted(at_m, ahead, right=True).sub(1).clamp(0, _POINTS - 1)
+        limit = allowed.gather(-1, column.unsqueeze(-1)).squeeze(-1)
+        wanted = torch.minimum(limit, speed + ACCELERATION_MPS2 * FREE_STEP_S)
+        after = torch.maximum(wanted, speed - 2.0 * BRAKING_MPS2 * FREE_STEP_S).clamp(min=0.0)
+        s = s + 0.5 * (speed + after) * FREE_STEP_S
+        speed = after
+    return s
+
+
+def scale_history(history: Tensor, scale: Tensor) -> Tensor:
+    """Encoder input [B, T, 6] at another scale: s, v_s and v_d grow, d and phi stay."""
+    out = history.clone()
+    out[..., (0, 2, 3)] = out[..., (0, 2, 3)] * scale[:, None, None]
+    return out
+
+
+def scale_future(future: Tensor, scale: Tensor) -> Tensor:
+    """Futures [B, F, 2] at another scale: s grows, d stays."""
+    return torch.stack((future[..., 0] * scale[:, None], future[..., 1]), -1)
