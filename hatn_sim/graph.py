@@ -55,6 +55,7 @@ CONTEXT: Final = (
     "leader there",
     "earliest_s of the rear vehicle at the conflict, up to FAR_S",
     "earliest_s of the ego at the node's conflict, up to FAR_S",
+    "front is a vehicle of the focus group",
 )
 """The last axis of `SemanticGraphs.context`: what holds now, beyond the paper's seven features."""
 CONTEXT_SIZE: Final = len(CONTEXT)
@@ -71,7 +72,7 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
     has_conflict: BoolArray = np.asarray(node_mask[:, 1:].any(axis=1))
     front, front_type, front_s = _fronts(road, seen, rear, rear_m, node_mask, has_conflict)
     x, history = _features(road, seen, rear, rear_m, front, front_type, front_s, node_mask)
-    context = _context(road, seen, ego, rear, (ego_m, rear_m), focus, kind, node_mask)
+    context = _context(road, seen, ego, rear, front, (ego_m, rear_m), focus, kind, node_mask)
     point_xy = road.locate(
         np.repeat(seen.lines.line[ego], MAX_NODES), conflict_s.ravel(), np.zeros(conflict_s.size)
     ).reshape(*conflict_s.shape, 2)
@@ -244,6 +245,7 @@ def _context(
     seen: Perception,
     ego: IntArray,
     rear: IntArray,
+    front: IntArray,
     to_conflict_m: tuple[FloatArray, FloatArray],
     focus: BoolArray,
     kind: IntArray,
@@ -287,6 +289,7 @@ def _context(
         has_leader[at].astype(np.float64),
         _earliest_s(to_conflict_m[1], seen.own.speed_mps[at, -1]),
         _earliest_s(to_conflict_m[0], seen.own.speed_mps[ego_at, -1]),
+        _queued(rear, front, focus).astype(np.float64),
     ]
     return np.where(node_mask[:, :, None], np.stack(columns, axis=-1), 0.0)
 
@@ -299,3 +302,11 @@ def _earliest_s(distance_m: FloatArray, speed_mps: FloatArray) -> FloatArray:
     speed = np.maximum(speed_mps, 0.0)
     root = np.sqrt(speed**2 + 2.0 * ACCELERATION_MPS2 * np.maximum(distance_m, 0.0))
     return np.minimum((root - speed) / ACCELERATION_MPS2, FAR_S)
+
+
+def _queued(rear: IntArray, front: IntArray, focus: BoolArray) -> BoolArray:
+    """Nodes [E, M] behind a vehicle that heads for the same focus: they cannot be next there."""
+    others = np.where(focus, rear, -2)[:, None, :]
+    same = front[:, :, None] == others
+    same[:, :, 0] = False  # the ego is no obstacle to those behind it on another line
+    return np.asarray(same.any(axis=2))

@@ -145,6 +145,8 @@ def test_context_has_a_name_for_every_entry() -> None:
     )
     assert by_name["gate ahead of the ego before the conflict"] == 1.0
     assert by_name["gate ahead of the rear vehicle before the conflict"] == 0.0
+    queued = graphs.context[e, :3, CONTEXT.index("front is a vehicle of the focus group")]
+    assert queued.tolist() == [0.0, 0.0, 1.0]
 
 
 @given(

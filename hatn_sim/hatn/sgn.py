@@ -30,6 +30,7 @@ CONTEXT_SCALE = (
     *(1.0,) * 4,
     *(3.0, 2.0, 30.0, 10.0, 1.0),
     *(5.0, 5.0),
+    1.0,
 )
 RACE_FEATURES = (
     CONTEXT.index("earliest_s of the rear vehicle at the conflict, up to FAR_S"),
@@ -37,6 +38,9 @@ RACE_FEATURES = (
     CONTEXT.index("waited_s of the rear vehicle"),
 )
 """What tells who is first anywhere: it goes to the score directly, besides through the network."""
+QUEUED = CONTEXT.index("front is a vehicle of the focus group")
+QUEUED_PENALTY = 6.0
+"""Who queues behind another is not first; finite, since lines and leaders may be wrong."""
 GOAL_SCALE_M = 10.0
 MIN_GOAL_STD_M = 0.1
 HORIZON_S = 3.0
@@ -134,6 +138,7 @@ class SemanticGraphNetwork(nn.Module):
         first = context[:, RACE_FEATURES]
         utility = z.new_zeros(mask.shape)
         utility[mask] = (self.race_head(z) + self.race_skip(first))[:, 0]
+        utility = utility - QUEUED_PENALTY * batch.context[..., QUEUED]
         utility[:, 0] = utility[:, 0] + self.ego_bias
         return self._intention(utility, torch.cat((z, road), -1), x, batch)
 
