@@ -201,8 +201,7 @@ class SemanticGraphs:
     rear: IntArray  # [E, M] vehicle behind the DIA, -1 where masked
     front: IntArray  # [E, M] vehicle before the DIA, -1 where the front is no vehicle
     front_type: IntArray  # [E, M] Front
-    x: FloatArray  # [E, M, T, 7] d_f, v_f, phi_f, d_r, v_r, phi_r, l
-    x_rel: FloatArray  # [E, M, T, 7] x minus x of node 0 at the same frame
+    x: FloatArray  # [E, M, T, 7] d_f, v_f, phi_f, d_r, v_r, phi_r, l; relative: x - x[:, :1]
     context: FloatArray  # [E, M, CONTEXT_SIZE] what holds now, see graph.CONTEXT
     node_mask: BoolArray  # [E, M]
     focus_mask: BoolArray  # [E, M] node 0 and the nodes of the focus group

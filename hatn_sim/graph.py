@@ -83,7 +83,6 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
         front=front,
         front_type=front_type,
         x=x,
-        x_rel=np.where(node_mask[:, :, None, None], x - x[:, :1], 0.0),
         context=context,
         node_mask=node_mask,
         focus_mask=focus,
@@ -237,7 +236,8 @@ def _leader_motion(road: Road, seen: Perception) -> Motion:
     there = seen.leader >= 0
     line = np.where(there, seen.lines.line, -1)
     s_now = np.where(there, seen.leader_s_m, 0.0)
-    return motion_along(road, seen.tracks, line, s_now, np.maximum(seen.leader, 0))
+    # A leader may have come in from another lane: its feet are searched, not tracked.
+    return motion_along(road, seen.tracks, line, s_now, np.maximum(seen.leader, 0), reach_m=2.5)
 
 
 def _context(

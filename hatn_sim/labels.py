@@ -27,33 +27,62 @@ MOVING_M = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Where every vehicle of a run was at every frame; made by `trajectories_from_rows`."""
+    """Where every vehicle of a run was; made by `trajectories_from_rows`.
+
+    One row for each vehicle and frame in view, by vehicle and then by frame, so memory grows with
+    what was seen and not with vehicles times frames. Row 0 is of nobody: where nothing is found.
+    The vehicles and frames that the methods take may have any shapes [...] that broadcast.
+    """
 
     ids: tuple[str, ...]  # [V]
-    xy_m: FloatArray  # [V, T, 2] centres; finite where not valid, but without meaning
-    valid: BoolArray  # [V, T] the vehicle was in view
-    travelled_m: FloatArray  # [V, T] path length of the centre so far, jumps out of view left out
+    frame_count: int  # T
+    row_vehicle: IntArray  # [1 + R] index into `ids`
+    row_frame: IntArray  # [1 + R]
+    row_xy_m: FloatArray  # [1 + R, 2] centres
+    row_travelled_m: FloatArray  # [1 + R] path length of the centre so far, in view only
+    row_seen_until: IntArray  # [1 + R] last frame of the unbroken view that the row belongs to
 
-    @property
-    def frame_count(self) -> int:
-        return int(self.valid.shape[1])
+    def xy_at(self, vehicle: IntArray | int, frame: IntArray | int) -> tuple[FloatArray, BoolArray]:
+        """(centres [..., 2], mask [...]): masked, and 0, where the vehicle is out of view."""
+        row = self.row_at(vehicle, frame)
+        return self.row_xy_m[row], row > 0
 
-    @cached_property
-    def seen_until(self) -> IntArray:
-        """[V, T] last frame of the unbroken view that a frame belongs to; where unseen: before it.
+    def travelled_at(self, vehicle: IntArray | int, frame: IntArray | int) -> FloatArray:
+        """[...] metres in view up to a frame: none before the first, no more while out of view."""
+        travelled: FloatArray = self.row_travelled_m[self._last_row(vehicle, frame)]
+        return travelled
 
-        A vehicle is in view at all of t ... u if and only if `seen_until[v, t] >= u`.
+    def seen_until(self, vehicle: IntArray | int, frame: IntArray | int) -> IntArray:
+        """[...] last frame of the unbroken view that a frame belongs to; where unseen: before it.
+
+        A vehicle is in view at all of t ... u if and only if `seen_until(v, t) >= u`.
         """
-        frames = np.arange(self.frame_count)
-        unseen = np.where(self.valid, self.frame_count, frames)
-        return np.minimum.accumulate(unseen[:, ::-1], axis=1)[:, ::-1] - 1
+        row = self.row_at(vehicle, frame)
+        return np.where(row > 0, self.row_seen_until[row], np.asarray(frame) - 1)
 
     def seen(self, vehicle: IntArray, first: IntArray, last: IntArray) -> BoolArray:
-        """[S] the vehicle is in view at every frame `first` ... `last`, both within the run."""
+        """[...] the vehicle is in view at every frame `first` ... `last`, both within the run."""
         inside = (first >= 0) & (last < self.frame_count)
-        if not inside.any():
-            return inside
-        return inside & (self.seen_until[vehicle, np.where(inside, first, 0)] >= last)
+        return inside & (self.seen_until(vehicle, first) >= last)
+
+    def row_at(self, vehicle: IntArray | int, frame: IntArray | int) -> IntArray:
+        """[...] the row of a vehicle at a frame, 0 where it is out of view.
+
+        The rows of an unbroken view follow each other.
+        """
+        row = self._last_row(vehicle, frame)
+        return np.where(self.row_frame[row] == frame, row, 0)
+
+    def _last_row(self, vehicle: IntArray | int, frame: IntArray | int) -> IntArray:
+        """[...] the last row of a vehicle up to a frame, 0 where there is none."""
+        # A frame past the end must not find the rows of the next vehicle.
+        wanted = vehicle * self.frame_count + np.minimum(frame, self.frame_count - 1)
+        row = np.maximum(np.searchsorted(self._key, wanted, side="right") - 1, 0)
+        return np.where(self.row_vehicle[row] == vehicle, row, 0)
+
+    @cached_property
+    def _key(self) -> IntArray:
+        return self.row_vehicle * self.frame_count + self.row_frame  # rising
 
 
 def trajectories_from_rows(
@@ -68,14 +97,20 @@ def trajectories_from_rows(
         xy_m: [R, 2] box centres.
         frame_count: T.
     """
-    xy = np.zeros((len(ids), frame_count, 2))
-    valid = np.zeros((len(ids), frame_count), dtype=bool)
-    xy[vehicle, frame] = xy_m
-    valid[vehicle, frame] = True
-    step_m = np.zeros((len(ids), frame_count))
-    step_m[:, 1:] = np.linalg.norm(np.diff(xy, axis=1), axis=2)
-    step_m[:, 1:] *= valid[:, 1:] & valid[:, :-1]
-    return Trajectories(ids, xy, valid, np.cumsum(step_m, axis=1))
+    order = np.lexsort((frame, vehicle))
+    row_vehicle = np.concatenate(([-1], vehicle[order]))
+    row_frame = np.concatenate(([-1], frame[order]))
+    row_xy_m = np.concatenate((np.zeros((1, 2)), xy_m[order]))
+    same = np.diff(row_vehicle) == 0
+    unbroken = same & (np.diff(row_frame) == 1)
+    step_m = np.zeros(len(row_frame))
+    step_m[1:] = np.linalg.norm(np.diff(row_xy_m, axis=0), axis=1) * unbroken
+    # Vehicle by vehicle, so that nobody's sum is rounded by what others travelled.
+    first_rows = np.flatnonzero(~same) + 1
+    travelled_m = np.concatenate([np.cumsum(own) for own in np.split(step_m, first_rows)])
+    last_rows = np.flatnonzero(np.append(~unbroken, True))
+    seen_until = np.repeat(row_frame[last_rows], np.diff(last_rows, prepend=-1))
+    return Trajectories(ids, frame_count, row_vehicle, row_frame, row_xy_m, travelled_m, seen_until)
 
 
 def samples(
@@ -85,13 +120,12 @@ def samples(
 
     Every vehicle in view for the 11 frames up to t and the 30 after it, at every fifth frame.
     """
-    frames = np.arange(0, trajectories.frame_count, every_frames)
-    frame, vehicle = (
-        index.ravel()
-        for index in np.meshgrid(frames, np.arange(len(trajectories.ids)), indexing="ij")
-    )
+    row = np.flatnonzero(trajectories.row_frame % every_frames == 0)
+    vehicle, frame = trajectories.row_vehicle[row], trajectories.row_frame[row]
     whole = trajectories.seen(vehicle, frame - HISTORY_FRAMES + 1, frame + HORIZON_FRAMES)
-    return vehicle[whole], frame[whole]
+    vehicle, frame = vehicle[whole], frame[whole]
+    order = np.lexsort((vehicle, frame))
+    return vehicle[order], frame[order]
 
 
 def goal_m(
@@ -99,11 +133,8 @@ def goal_m(
 ) -> tuple[FloatArray, BoolArray]:
     """Distance travelled in the next 3 s: (metres [S], mask [S]); masked where the track ends."""
     whole = trajectories.seen(vehicle, frame, frame + HORIZON_FRAMES)
-    value = np.zeros(len(vehicle))
-    travelled = trajectories.travelled_m
-    now, then = frame[whole], frame[whole] + HORIZON_FRAMES
-    value[whole] = travelled[vehicle[whole], then] - travelled[vehicle[whole], now]
-    return value, whole
+    then_m = trajectories.travelled_at(vehicle, frame + HORIZON_FRAMES)
+    return np.where(whole, then_m - trajectories.travelled_at(vehicle, frame), 0.0), whole
 
 
 def crossing_frame(
@@ -130,24 +161,26 @@ def crossing_frame(
         limit_frames: how far to look ahead.
     """
     result = np.full(len(vehicle), -1, dtype=np.int64)
-    inside = (vehicle >= 0) & (frame >= 0) & (frame < trajectories.frame_count)
-    who, now = vehicle[inside], frame[inside]
-    travelled = trajectories.travelled_m
-    goal = distance_m[inside] + (travelled[who, now] if len(who) else 0.0)
-    # Path length never falls along a row, so bisect every row at once. The answer is in
-    # [low, high]; high is one past the last frame allowed and means "not reached".
-    low = now
-    high = np.minimum(now + limit_frames, trajectories.seen_until[who, now]) + 1
+    row = trajectories.row_at(vehicle, frame)
+    inside = row > 0
+    now, start = frame[inside], row[inside]
+    last_row = len(trajectories.row_frame) - 1
+    travelled = trajectories.row_travelled_m
+    goal = distance_m[inside] + travelled[start]
+    # Path length never falls, so bisect the rows of every unbroken view at once. The answer is
+    # in [low, high] frames from now; high is one past the last allowed and means "not reached".
+    low = np.zeros(len(start), dtype=np.int64)
+    high = np.minimum(limit_frames, trajectories.row_seen_until[start] - now) + 1
     end = high
     while np.any(low < high):
         middle = (low + high) // 2
-        reached = travelled[who, np.minimum(middle, trajectories.frame_count - 1)] >= goal
+        reached = travelled[np.minimum(start + middle, last_row)] >= goal
         open_ = low < high
         high = np.where(open_ & reached, middle, high)
         low = np.where(open_ & ~reached, middle + 1, low)
-    at = np.minimum(low, trajectories.frame_count - 1)
-    away_m = np.linalg.norm(trajectories.xy_m[who, at] - conflict_xy_m[inside], axis=1)
-    result[inside] = np.where((low < end) & (away_m <= CROSSING_RADIUS_M), low, -1)
+    at_xy_m = trajectories.row_xy_m[np.minimum(start + low, last_row)]
+    away_m = np.linalg.norm(at_xy_m - conflict_xy_m[inside], axis=1)
+    result[inside] = np.where((low < end) & (away_m <= CROSSING_RADIUS_M), now + low, -1)
     return result
 
 

@@ -11,7 +11,7 @@ rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -68,6 +68,7 @@ class LineState:
     cost_m: FloatArray  # [N, A, WARP_FRAMES] cost at the foot, nan before the vehicle was seen
     chosen: IntArray  # [N] candidate, -1: none
     doubted: IntArray  # [N] frames for which another candidate has been better
+    renewed: IntArray  # [N] number of the lane on which the candidates were last drawn, -1: none
 
 
 def empty_lines() -> LineState:
@@ -78,6 +79,7 @@ def empty_lines() -> LineState:
         cost_m=np.zeros((0, MAX_CANDIDATES, WARP_FRAMES)),
         chosen=np.zeros(0, dtype=np.int64),
         doubted=np.zeros(0, dtype=np.int64),
+        renewed=np.zeros(0, dtype=np.int64),
     )
 
 
@@ -110,11 +112,13 @@ def _advance(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> Line
     cost = np.full((count, MAX_CANDIDATES, WARP_FRAMES), np.nan)
     chosen = np.full(count, -1, dtype=np.int64)
     doubted = np.zeros(count, dtype=np.int64)
+    renewed = np.full(count, -1, dtype=np.int64)
     if known.any():
         before = source[known]
         line[known], s_m[known] = state.line[before], state.s_m[before]
         cost[known, :, :-1] = state.cost_m[before, :, 1:]
         chosen[known], doubted[known] = state.chosen[before], state.doubted[before]
+        renewed[known] = state.renewed[before]
     vehicle, slot = np.nonzero(line >= 0)
     if len(vehicle):
         step_m = np.linalg.norm(tracks.xy_m[:, -1] - tracks.xy_m[:, -2], axis=1)[vehicle]
@@ -129,7 +133,7 @@ def _advance(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> Line
         cost[vehicle, slot, -1] = _foot_cost_m(road, at, xy, yaw, length_m, s, d)
         off = (np.abs(d) > NEAR_M) | (np.abs(wrap_angle(turned)) > NEAR_RAD)
         line[vehicle[off], slot[off]] = -1
-    return LineState(tracks.ids, line, s_m, cost, chosen, doubted)
+    return LineState(tracks.ids, line, s_m, cost, chosen, doubted, renewed)
 
 
 def _foot_cost_m(
@@ -167,7 +171,7 @@ def _take_routes(
             line[new, 0], tracks.xy_m[new, -1], np.zeros(len(new)), length_m
         )
     chosen = np.where(line[:, 0] >= 0, 0, -1)
-    return LineState(state.ids, line, s_m, state.cost_m, chosen, state.doubted)
+    return replace(state, line=line, s_m=s_m, chosen=chosen)
 
 
 def _renew(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> LineState:
@@ -185,16 +189,20 @@ def _renew(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> LineSt
     astray = drivable & (~alive | ~on_line | (off_m > 1.7))
     if len(road.count):
         left_m = (road.count[safe] - 1) * LINE_STEP_M - state.s_m[vehicle, best]
-        ended = np.array([road.lines[i].closed_end if i >= 0 else True for i in own.tolist()])
-        short = drivable & on_line & ~ended & (left_m < RENEW_AHEAD_M)
+        short = drivable & on_line & (left_m < RENEW_AHEAD_M)
     else:
         short = np.zeros(len(vehicle), dtype=np.bool_)
     if not (astray | short).any():
         return state
     line, s_m, cost = state.line.copy(), state.s_m.copy(), state.cost_m.copy()
-    chosen = state.chosen.copy()
+    chosen, renewed = state.chosen.copy(), state.renewed.copy()
     for i in np.flatnonzero(astray | short).tolist():
         kind = Kind(int(scene.kind[i]))
+        if not astray[i]:
+            lane = road.lane_number(int(own[i]), float(state.s_m[i, best[i]]))
+            if road.lines[own[i]].closed_end or lane == state.renewed[i]:
+                continue  # there is no more of the road, or no more than was drawn on this lane
+            renewed[i] = lane
         if astray[i]:
             prefixes = [
                 road.prefix_to(name, kind)
@@ -214,7 +222,7 @@ def _renew(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> LineSt
         line[i, : len(kept)] = kept
         s_m[i, : len(kept)], cost[i, : len(kept)] = new_s, new_cost
         chosen[i] = _same_course(road, state, i, kept) if short[i] and not astray[i] else -1
-    return LineState(state.ids, line, s_m, cost, chosen, state.doubted)
+    return replace(state, line=line, s_m=s_m, cost_m=cost, chosen=chosen, renewed=renewed)
 
 
 def _same_course(road: Road, state: LineState, vehicle: int, candidates: IntArray) -> int:
@@ -302,7 +310,7 @@ def _choose(state: LineState, score: FloatArray) -> LineState:
     switch = lost | (doubted >= SWITCH_FRAMES) | ((now > LOST_COST_M) & (gain > 0))
     chosen = np.where(some, np.where(switch, best, state.chosen), -1)
     doubted = np.where(switch, 0, doubted)
-    return LineState(state.ids, state.line, state.s_m, state.cost_m, chosen, doubted)
+    return replace(state, chosen=chosen, doubted=doubted)
 
 
 def _probabilities(state: LineState, score: FloatArray) -> FloatArray:

@@ -6,10 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.risk import encounters
 from hatn_sim.assist.suggest import SuggestionState, suggest
 from hatn_sim.datatypes import (
+    HORIZON_FRAMES,
     Advice,
     Agent,
     Command,
@@ -19,6 +22,7 @@ from hatn_sim.datatypes import (
     Scene,
     Simulator,
 )
+from hatn_sim.errors import InputError
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.road import Road
 
@@ -57,7 +61,31 @@ def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState
 def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserState, Advice]:
     """Take in a frame and give advice: prediction, suggestions, alerts."""
     state = observe(adviser, state, frame)
-    return advise(adviser, state, frame.scene, adviser.predictor.predict(state.memory))
+    prediction = adviser.predictor.predict(state.memory)
+    check_prediction(adviser.predictor.name, prediction, frame.scene)
+    return advise(adviser, state, frame.scene, prediction)
+
+
+def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
+    """InputError where a prediction is not of this scene, not of its shape or not finite."""
+    count, modes = len(scene.ids), prediction.mode_probability.shape[-1]
+    shapes = {
+        "xy_m": (prediction.xy_m, (count, modes, HORIZON_FRAMES, 2)),
+        "mode_probability": (prediction.mode_probability, (count, modes)),
+        "fallback": (prediction.fallback, (count,)),
+        "adapted": (prediction.adapted, (count,)),
+    }
+    where = f"predictor {name!r} at {scene.time_s:.1f} s"
+    if prediction.ids != scene.ids:
+        raise InputError(f"{where}: ids are not those of the scene, in its order; predict for all")
+    for field, (value, shape) in shapes.items():
+        if value.shape != shape:
+            raise InputError(f"{where}: {field} has shape {value.shape}, expected {shape}")
+    bad = ~np.isfinite(prediction.xy_m).all(axis=(1, 2, 3))
+    bad |= ~np.isfinite(prediction.mode_probability).all(axis=1)
+    if bad.any():
+        first = scene.ids[int(np.argmax(bad))]
+        raise InputError(f"{where}: the prediction for {first!r} is not finite; mend the predictor")
 
 
 def advise(

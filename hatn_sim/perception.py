@@ -99,12 +99,18 @@ def perceive(
 
 
 def motion_along(
-    road: Road, tracks: Tracks, line: IntArray, s_now_m: FloatArray, vehicle: IntArray
+    road: Road,
+    tracks: Tracks,
+    line: IntArray,
+    s_now_m: FloatArray,
+    vehicle: IntArray,
+    reach_m: float = 0.0,
 ) -> Motion:
     """The history of vehicles [Q] on lines [Q], where they are now at arc lengths `s_now_m`.
 
     Entries without a line (-1) stay zero. The search goes back from now by the distance travelled,
-    so that a line which meets itself again is followed on the right lap.
+    so that a line which meets itself again is followed on the right lap; `reach_m` widens it for
+    vehicles that may have come from elsewhere.
     """
     shape = (len(vehicle), HISTORY_FRAMES)
     s, d, phi = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -117,7 +123,12 @@ def motion_along(
         behind[:, :-1] = np.cumsum(steps[:, ::-1], axis=1)[:, ::-1]
         guess = (s_now_m[on, None] - behind).ravel()
         flat_line = np.repeat(line[on], HISTORY_FRAMES)
-        flat_s, flat_d = road.track(flat_line, xy.reshape(-1, 2), guess)
+        flat_xy = xy.reshape(-1, 2)
+        flat_s, flat_d = (
+            road.project(flat_line, flat_xy, guess, reach_m)
+            if reach_m
+            else road.track(flat_line, flat_xy, guess)
+        )
         tangent = road.line_yaw_rad(flat_line, flat_s).reshape(len(on), -1)
         s[on], d[on] = flat_s.reshape(len(on), -1), flat_d.reshape(len(on), -1)
         phi[on] = wrap_angle(tracks.yaw_rad[vehicle[on], -HISTORY_FRAMES:] - tangent)

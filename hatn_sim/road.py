@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from hatn_sim.conflicts import find_conflicts
 from hatn_sim.datatypes import (
+    BoolArray,
     Conflict,
     FloatArray,
     Gate,
@@ -40,6 +41,8 @@ MAX_CONFLICTS: Final = 6
 MAX_FORKS: Final = 24
 NEAR_M: Final = 3.5
 NEAR_RAD: Final = np.deg2rad(60.0)
+_KEY: Final = 1 << 31
+"""A pair of lines (i, j) has the key i * _KEY + j."""
 
 
 class Road:
@@ -74,12 +77,18 @@ class Road:
         self.fork_s_m: FloatArray = np.zeros((0, MAX_FORKS))
         self.fork_end_s_m: FloatArray = np.zeros((0, MAX_FORKS))
         self.fork_turn: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
-        self._pair_row: IntArray = np.zeros((0, 0), dtype=np.int64)
+        # Conflicts of the pairs met so far: sorted keys, the row of each, and the rows.
+        self._pair_keys: IntArray = np.zeros(0, dtype=np.int64)
+        self._pair_rows: IntArray = np.zeros(0, dtype=np.int64)
         self._pairs: FloatArray = np.zeros((64, MAX_CONFLICTS, 7))
         self._pair_count = 0
         self.shared: dict[str, Any] = {}  # what perception keeps for all predictors of this road
 
     # -- lanes --------------------------------------------------------------------------------
+
+    @cached_property
+    def _lane_numbers(self) -> dict[str, int]:
+        return {name: number for number, name in enumerate(self.lanes)}
 
     @cached_property
     def _predecessors(self) -> dict[str, list[str]]:
@@ -153,6 +162,12 @@ class Road:
         now = int(np.searchsorted(start, s_m, side="right")) - 1
         first = int(np.searchsorted(start, max(s_m - BEHIND_M, 0.0), side="right")) - 1
         return route[max(first, 0) : max(now, 0) + 1]
+
+    def lane_number(self, line: int, s_m: float) -> int:
+        """A number for the lane of a line at an arc length, the same for every line over it."""
+        start = self.lines[line].lane_start_s_m
+        position = max(int(np.searchsorted(start, s_m, side="right")) - 1, 0)
+        return self._lane_numbers[self.lines[line].route[position]]
 
     def _extend(self, prefix: Route, kind: Kind) -> list[Route]:
         open_routes: list[tuple[float, Route]] = [(0.0, prefix)]
@@ -244,9 +259,6 @@ class Road:
             new[: old.shape[0]] = old
             setattr(self, name, new)
         self.count = np.concatenate((self.count, np.full(rows - len(self.count), 2)))
-        pair_row = np.full((rows, rows), -1, dtype=np.int64)
-        pair_row[: len(self._pair_row), : len(self._pair_row)] = self._pair_row
-        self._pair_row = pair_row
 
     # -- coordinates --------------------------------------------------------------------------
 
@@ -331,31 +343,48 @@ class Road:
 
         Columns: entry, point, exit on the first line, the same on the second, ConflictType.
         """
-        row = self._pair_row[first, second]
-        if (row < 0).any():
-            missing = np.unique(np.stack((first[row < 0], second[row < 0]), axis=1), axis=0)
-            for one, other in missing.tolist():
-                if self._pair_row[one, other] < 0:
-                    self._add_pair(one, other)
-            row = self._pair_row[first, second]
+        key = first * _KEY + second
+        row, known = self._find_pairs(key)
+        if not known.all():
+            missing = np.unique(np.minimum(first, second) * _KEY + np.maximum(first, second))
+            self._add_pairs(missing[~self._find_pairs(missing)[1]])
+            row, _ = self._find_pairs(key)
         return self._pairs[row]
 
-    def _add_pair(self, first: int, second: int) -> None:
-        if self._pair_count + 2 > len(self._pairs):
+    def _find_pairs(self, key: IntArray) -> tuple[IntArray, BoolArray]:
+        """Row of every key [Q], and whether it is there."""
+        if not len(self._pair_keys):
+            return np.zeros(len(key), dtype=np.int64), np.zeros(len(key), dtype=np.bool_)
+        at = np.minimum(np.searchsorted(self._pair_keys, key), len(self._pair_keys) - 1)
+        return self._pair_rows[at], self._pair_keys[at] == key
+
+    def _add_pairs(self, keys: IntArray) -> None:
+        """Work out the conflicts of pairs of lines, each given by one key, from both sides."""
+        new_keys: list[int] = []
+        for one, other in zip(*(part.tolist() for part in np.divmod(keys, _KEY)), strict=True):
+            found = () if one == other else self.conflicts(one, other)
+            for side, pair in enumerate(((one, other), (other, one))[: 1 if one == other else 2]):
+                self._store_pair(found, side)
+                new_keys.append(pair[0] * _KEY + pair[1])
+        count = self._pair_count
+        all_keys = np.concatenate((self._pair_keys, np.array(new_keys, dtype=np.int64)))
+        all_rows = np.concatenate((self._pair_rows, np.arange(count - len(new_keys), count)))
+        order = np.argsort(all_keys)
+        self._pair_keys, self._pair_rows = all_keys[order], all_rows[order]
+
+    def _store_pair(self, found: Sequence[Conflict], side: int) -> None:
+        if self._pair_count == len(self._pairs):
             self._pairs = np.concatenate((self._pairs, np.zeros_like(self._pairs)))
-        found = () if first == second else self.conflicts(first, second)
-        for one, other, side in ((first, second, 0), (second, first, 1)):
-            rows = np.full((MAX_CONFLICTS, 7), np.inf)
-            ordered = sorted(found, key=lambda conflict: conflict.point_s_m[side])
-            for k, c in enumerate(ordered[:MAX_CONFLICTS]):
-                rows[k] = (
-                    *(c.entry_s_m[side], c.point_s_m[side], c.exit_s_m[side]),
-                    *(c.entry_s_m[1 - side], c.point_s_m[1 - side], c.exit_s_m[1 - side]),
-                    float(c.type),
-                )
-            self._pairs[self._pair_count] = rows
-            self._pair_row[one, other] = self._pair_count
-            self._pair_count += 1
+        rows = np.full((MAX_CONFLICTS, 7), np.inf)
+        ordered = sorted(found, key=lambda conflict: conflict.point_s_m[side])
+        for k, c in enumerate(ordered[:MAX_CONFLICTS]):
+            rows[k] = (
+                *(c.entry_s_m[side], c.point_s_m[side], c.exit_s_m[side]),
+                *(c.entry_s_m[1 - side], c.point_s_m[1 - side], c.exit_s_m[1 - side]),
+                float(c.type),
+            )
+        self._pairs[self._pair_count] = rows
+        self._pair_count += 1
 
 
 def _length_m(lane: Lane) -> float:

@@ -8,7 +8,7 @@ from conftest import crossing_lanes, scene_of
 
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.risk import arrival_s, encounters, required_deceleration_mps2
-from hatn_sim.assist.suggest import SuggestionState, suggest
+from hatn_sim.assist.suggest import SuggestionState, Told, suggest
 from hatn_sim.datatypes import Prediction, Scene
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import begin, perceive
@@ -95,7 +95,7 @@ def test_a_yield_names_whom_to_let_go_and_when() -> None:
     assert told.text == "Yield to the silver car from the right; go after it in 2.9 s"
     assert by_ego["other"].action == "pass"
     assert by_ego["other"].slot_id == "ego"
-    assert state.slot_of == {"ego": "ego", "other": "ego"}
+    assert {ego: told.slot_id for ego, told in state.told.items()} == {"ego": "ego", "other": "ego"}
 
 
 def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
@@ -107,13 +107,31 @@ def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
     assert nobody == ()
 
 
-def test_a_suggestion_does_not_flicker() -> None:
-    told_pass = SuggestionState({"ego": "other"})
-    for chance, expected in (([0.55, 0.45], "other"), ([0.7, 0.3], "ego")):
-        scene, prediction = moment(TWO, {"ego": chance})
+@pytest.mark.parametrize(
+    ("chance", "expected"),
+    [
+        ([0.55, 0.45], ("pass", "other")),  # another leads by 0.1: the advice stands
+        ([0.7, 0.3], ("yield", "other")),  # it leads by 0.4: the advice changes
+        ([0.6, 0.4], ("abstain", "other")),  # by 0.2: enough to give up the old, not for the new
+    ],
+)
+def test_advice_stands_until_another_slot_is_clearly_better(
+    chance: list[float], expected: tuple[str, str]
+) -> None:
+    told = SuggestionState({"ego": Told("other", "pass", True)})
+    scene, prediction = moment(TWO, {"ego": chance})
+    meeting = encounters(scene, prediction)
+    _, (found,) = suggest(told, scene, prediction, meeting, frozenset({"ego"}))
+    assert (found.action, found.slot_id) == expected
+
+
+@pytest.mark.parametrize(("margin", "expected"), [(0.2, "abstain"), (0.3, "yield")])
+def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> None:
+    for before in (SuggestionState(), SuggestionState({"ego": Told("ego", "abstain", True)})):
+        scene, prediction = moment(TWO, {"ego": [0.5 + margin / 2, 0.5 - margin / 2]})
         meeting = encounters(scene, prediction)
-        state, _ = suggest(told_pass, scene, prediction, meeting, frozenset({"ego"}))
-        assert state.slot_of["ego"] == expected
+        _, (found,) = suggest(before, scene, prediction, meeting, frozenset({"ego"}))
+        assert found.action == expected
 
 
 def test_an_alert_is_an_interval_of_a_pair() -> None:

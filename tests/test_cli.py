@@ -261,7 +261,7 @@ def test_weights_of_another_version_missing_or_corrupt(
     card, content = weights.with_suffix(".json"), weights.read_bytes()
     written = card.read_text()
     card.write_text(json.dumps(json.loads(written) | {"format": 99}))
-    assert line().startswith(f"weights {weights}: format 99, this version reads format 1; train")
+    assert line().startswith(f"weights {weights}: format 99, this version reads format 2; train")
     card.write_text(written.replace('"width": 8', '"width": 9', 1))
     assert line().startswith(f"weights {weights}: cannot be read as the networks of its card (")
     card.write_text(written[:20])
@@ -316,14 +316,23 @@ def test_a_seed_gives_the_same_log_byte_for_byte_and_another_gives_another(
     assert first["road.json.gz"] == other["road.json.gz"]
 
 
-def test_json_of_run_and_score_is_the_list_of_scores(
+def test_json_of_run_and_score_is_the_list_of_scores_and_the_rate_of_the_run(
     street: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("--warm-up", "20", "--compare", "idm", "--out", "run", "--json", "--duration", "8")
     assert code_of("run", street, *CV, *SHORT[2:], *words) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
-    scores: list[dict[str, Any]] = json.loads(printed.out)
+    *scores, rate, factor = json.loads(printed.out)
+    assert [(row["measure"], row["unit"]) for row in (rate, factor)] == [
+        ("steps_per_second", "1/s"),
+        ("real_time_factor", "x"),
+    ]
+    for row in (rate, factor):
+        assert (row["predictor"], row["scene"], row["subset"], row["n"], row["low"]) == (
+            *("constant_velocity", "street", "all", 80, None),
+        )
+    assert factor["value"] == pytest.approx(0.1 * rate["value"]) and rate["value"] > 0.0
     assert code_of("score", "run", "--json") == 0
     assert json.loads(capsys.readouterr().out) == scores
     assert json.loads(Path("run/scores.json").read_text()) == scores
@@ -331,7 +340,7 @@ def test_json_of_run_and_score_is_the_list_of_scores(
         "measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high",
     )  # fmt: skip
     assert tuple(field.name for field in fields(Score)) == keys
-    assert all(tuple(score) == keys for score in scores)
+    assert all(tuple(score) == keys for score in [*scores, rate, factor])
     found = {(score["predictor"], score["measure"], score["subset"]): score for score in scores}
     for predictor in ("constant_velocity", "idm"):
         for measure in ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3"):

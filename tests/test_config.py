@@ -194,6 +194,17 @@ def test_a_malformed_configuration_is_placed(folder: Path) -> None:
         load_scenario(str(config))
 
 
+@pytest.mark.parametrize("encoding", ["UTF-7", "UTF-32", "no-such", "base64"])
+def test_an_encoding_that_cannot_be_read_is_said(folder: Path, encoding: str) -> None:
+    config = folder / "street.sumocfg"
+    config.write_text(f'<?xml version="1.0" encoding="{encoding}"?><configuration/>')
+    with pytest.raises(InputError) as caught:
+        load_scenario(str(config))
+    assert str(caught.value).startswith(f"{config}:")
+    assert "encoding" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_short_names_of_options_are_understood(tmp_path: Path) -> None:
     config = tmp_path / "short.sumocfg"
     config.write_text(

@@ -7,7 +7,7 @@ from conftest import crossing_lanes, scene_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hatn_sim.datatypes import HISTORY_FRAMES, Front, Scene, SemanticGraphs
+from hatn_sim.datatypes import HISTORY_FRAMES, Front, Kind, Scene, SemanticGraphs
 from hatn_sim.graph import CONTEXT, build_graphs
 from hatn_sim.perception import PerceptionState, begin, perceive
 from hatn_sim.road import Road
@@ -79,10 +79,6 @@ def test_features_by_hand() -> None:
     then = graphs.x[e, :, 0]
     np.testing.assert_allclose(then[0, 3] - now[0, 3], 10.0, atol=0.05)
     np.testing.assert_allclose(then[2, [0, 3]] - now[2, [0, 3]], 8.0, atol=0.05)
-    np.testing.assert_array_equal(
-        graphs.x_rel[e][graphs.node_mask[e]],
-        graphs.x[e][graphs.node_mask[e]] - graphs.x[e, 0],
-    )
 
 
 def test_without_a_conflict_there_is_one_node_to_fifty_metres_ahead() -> None:
@@ -191,5 +187,26 @@ def test_a_vehicle_far_away_changes_nothing() -> None:
 
 
 def test_pedestrians_and_vehicles_off_the_road_have_no_graph() -> None:
-    graphs = graphs_of({"off": (60.0, 60.0, 0.0, 5.0), "on": (30.0, 0.0, 0.0, 5.0)})
+    road = Road(crossing_lanes())
+    vehicles = {
+        "off": (60.0, 60.0, 0.0, 5.0),
+        "on": (30.0, 0.0, 0.0, 5.0),
+        "walker": (50.0, 0.0, 0.0, 1.0),
+    }
+    state = begin(road)
+    for frame in range(3):
+        scene = scene_of(0.1 * frame, vehicles)
+        kind = np.array([Kind.CAR, Kind.CAR, Kind.PEDESTRIAN], dtype=np.int64)
+        state = perceive(state, Scene(**{**scene.__dict__, "kind": kind}), None)
+    graphs = build_graphs(road, state.seen)
     assert [graphs.ids[k] for k in graphs.ego] == ["on"]
+
+
+def test_a_road_may_be_empty_for_a_while() -> None:
+    road = Road(crossing_lanes())
+    state = drive(road, CROSSING_TRAFFIC)
+    for time_s in (2.0, 2.1):
+        state = perceive(state, scene_of(time_s, {}), None)
+        assert len(build_graphs(road, state.seen).ego) == 0
+    state = perceive(state, scene_of(2.2, {"new": (-40.0, 0.0, 0.0, 10.0)}), None)
+    assert len(build_graphs(road, state.seen).ego) == 1

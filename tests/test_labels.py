@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -74,11 +76,12 @@ def test_travelled_leaves_out_what_happened_out_of_view() -> None:
     frames, xy_m = straight(0.0, 10.0)
     seen = (frames < 10) | (frames >= 20)
     tracks = trajectories((frames[seen], xy_m[seen]))
-    assert tracks.valid[0].sum() == FRAMES - 10
-    assert tracks.travelled_m[0, 9] == pytest.approx(9.0)
-    assert tracks.travelled_m[0, 20] == pytest.approx(9.0)
-    assert tracks.travelled_m[0, 25] == pytest.approx(14.0)
-    assert np.isfinite(tracks.xy_m).all()
+    xy_at, valid = tracks.xy_at(0, np.arange(FRAMES))
+    assert valid.tolist() == seen.tolist()
+    np.testing.assert_array_equal(xy_at, np.where(seen[:, None], xy_m, 0.0))
+    travelled_m = tracks.travelled_at(0, np.array([0, 9, 15, 20, 25]))
+    assert travelled_m == pytest.approx([0.0, 9.0, 9.0, 9.0, 14.0])
+    assert tracks.seen_until(0, np.array([0, 9, 15, 20])).tolist() == [9, 9, 14, FRAMES - 1]
 
 
 def test_goal_is_the_distance_of_three_seconds_and_masked_where_the_track_ends() -> None:
@@ -119,6 +122,62 @@ def test_samples_need_an_unbroken_view() -> None:
     seen = frames != 100
     _, frame = samples(trajectories((frames[seen], xy_m[seen])))
     assert frame.tolist() == [*range(10, 70, 5), *range(115, 170, 5)]
+
+
+def test_look_ups_agree_with_an_array_of_vehicles_and_frames() -> None:
+    rng = np.random.default_rng(4)
+    count = 7
+    seen = rng.random((count, FRAMES)) < np.linspace(0.0, 1.0, count)[:, None]
+    xy_m = np.cumsum(rng.random((count, FRAMES, 2)), axis=1) * seen[..., None]
+    vehicle, frame = np.nonzero(seen)
+    order = rng.permutation(len(vehicle))
+    vehicle, frame = vehicle[order], frame[order]
+    ids = tuple(f"v{v}" for v in range(count))
+    tracks = trajectories_from_rows(ids, vehicle, frame, xy_m[vehicle, frame], FRAMES)
+
+    travelled_m = np.zeros((count, FRAMES))
+    until = np.zeros((count, FRAMES), dtype=np.int64)
+    for v in range(count):
+        for f in range(1, FRAMES):
+            both = seen[v, f - 1] and seen[v, f]
+            step_m = np.linalg.norm(xy_m[v, f] - xy_m[v, f - 1]) if both else 0.0
+            travelled_m[v, f] = travelled_m[v, f - 1] + step_m
+        for f in range(FRAMES):
+            unseen = np.flatnonzero(~seen[v, f:])
+            until[v, f] = f + (unseen[0] if len(unseen) else FRAMES - f) - 1
+    every_vehicle, every_frame = np.arange(count)[:, None], np.arange(FRAMES)
+    found_xy_m, mask = tracks.xy_at(every_vehicle, every_frame)
+    np.testing.assert_array_equal(mask, seen)
+    np.testing.assert_array_equal(found_xy_m, xy_m)
+    np.testing.assert_allclose(
+        tracks.travelled_at(every_vehicle, every_frame), travelled_m, atol=1e-12
+    )
+    np.testing.assert_array_equal(tracks.seen_until(every_vehicle, every_frame), until)
+    outside = np.array([-FRAMES, -1, FRAMES, 2 * FRAMES])
+    assert not tracks.xy_at(every_vehicle, outside)[1].any()
+    assert not tracks.seen(every_vehicle, outside, outside).any()
+    assert not tracks.xy_at(-1, every_frame)[1].any()
+
+
+def test_memory_grows_with_what_was_seen() -> None:
+    """Half an hour of vehicles that are there for a minute each: as an array it is 130 MB."""
+    count, frames, each = 200, 18_000, 600
+    first = np.random.default_rng(2).integers(0, frames - each, count)
+    vehicle = np.repeat(np.arange(count), each)
+    frame = (first[:, None] + np.arange(each)).ravel()
+    xy_m = np.stack([frame, vehicle], axis=1).astype(float)
+    ids = tuple(str(v) for v in range(count))
+    tracemalloc.start()
+    try:
+        tracks = trajectories_from_rows(ids, vehicle, frame, xy_m, frames)
+        sampled, at = samples(tracks)
+        goal, known = goal_m(tracks, sampled, at)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(sampled) == count * 112  # every fifth of 560 frames
+    assert known.all() and goal == pytest.approx(30.0)
+    assert peak_bytes < 20e6
 
 
 def test_an_empty_run_has_no_samples() -> None:
@@ -200,9 +259,9 @@ def test_crossings_agree_with_a_search_frame_by_frame() -> None:
         expected = -1
         driven = 0.0
         for f in range(t, min(t + 51, FRAMES)):
-            driven += np.linalg.norm(tracks.xy_m[v, f] - tracks.xy_m[v, f - 1]) if f > t else 0.0
+            driven += abs(along_m[v, f] - along_m[v, f - 1]) if f > t else 0.0
             if driven >= d:
-                expected = f if np.linalg.norm(tracks.xy_m[v, f]) <= 4.0 else -1
+                expected = f if abs(along_m[v, f]) <= 4.0 else -1
                 break
         assert answer == expected
     assert min((found >= 0).sum(), (found < 0).sum()) > 50

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from hatn_sim import cli
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame
 from hatn_sim.errors import InputError
 from hatn_sim.hatn.weights_io import load_weights
 from hatn_sim.learn.augment import free_travel_m, scale_future, scale_graphs, scale_history
-from hatn_sim.learn.dataset import Samples, samples_of_run
+from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.learn.train import TrainingPlan, graph_batch, train
 from hatn_sim.loop import warm_up
 from hatn_sim.road import Road
@@ -58,7 +61,6 @@ def test_goals_and_futures_are_what_the_simulator_then_did(
     first_step = cut.future[known, 0, 0]
     np.testing.assert_allclose(first_step, speed * 0.1, atol=0.12)
     assert np.abs(cut.future[known, :, 1]).max() < 1.5
-    assert traffic[1]
 
 
 def test_slots_are_labelled_for_egos_with_a_choice_only(cut: Samples) -> None:
@@ -105,6 +107,105 @@ def test_seeds_that_overlap_are_refused(tmp_path: Path) -> None:
     plan = TrainingPlan(("intersection5",), (1, 2), (2, 3), 10.0)
     with pytest.raises(InputError, match=r"--seeds and --tune share \[2\]"):
         train(plan, tmp_path / "w.safetensors", "", print)
+
+
+SHORT = ("train", "--scenes", "intersection4_allway", "--seeds", "1", "--tune", "2", "--quiet")
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs `hatn-sim train`, which has to fail with exit code 2, and gives the one line it says."""
+
+    def run(*words: object) -> str:
+        assert cli.main([*SHORT, *map(str, words)]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1
+        return lines[0]
+
+    return run
+
+
+@pytest.fixture
+def no_traffic(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is found before simulating must not need a simulation."""
+
+    def simulate(*_: object) -> Samples:
+        raise AssertionError("simulated")
+
+    monkeypatch.setattr("hatn_sim.learn.train.collect", simulate)
+
+
+@pytest.mark.usefixtures("no_traffic")
+def test_a_place_that_cannot_be_written_is_found_before_simulating(
+    tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    (tmp_path / "file").touch()
+    out = tmp_path / "file" / "x.safetensors"
+    assert refused("--out", out).startswith(f"hatn-sim: weights {out}: cannot be written there: ")
+
+
+@pytest.mark.usefixtures("no_traffic")
+@pytest.mark.parametrize("taken", ["x.safetensors", "x.json"])
+def test_nothing_is_overwritten(tmp_path: Path, refused: Callable[..., str], taken: str) -> None:
+    (tmp_path / taken).touch()
+    assert f"{taken} exists already" in refused("--out", tmp_path / "x.safetensors")
+
+
+@pytest.mark.usefixtures("no_traffic")
+@pytest.mark.parametrize("seed", [-1, 2**64])
+def test_seeds_of_no_generator_are_refused(
+    tmp_path: Path, refused: Callable[..., str], seed: int
+) -> None:
+    said = refused("--out", tmp_path / "x.safetensors", "--torch-seed", seed)
+    assert said.startswith(f"hatn-sim: --torch-seed {seed}: expected 0 or more")
+
+
+@pytest.mark.usefixtures("no_traffic")
+def test_nothing_to_learn_from_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    assert "at least one of each" in refused("--out", tmp_path / "x.safetensors", "--risks", ",")
+
+
+def test_traffic_too_short_for_a_sample_is_an_error(
+    tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    """Half a second is six frames; a history has eleven."""
+    said = refused("--out", tmp_path / "x.safetensors", "--duration", "0.5", "--workers", "1")
+    assert said == (
+        "hatn-sim: --seeds: too little to learn from in 0.5 s a seed: 0 samples, 0 with a known "
+        "goal, 0 with a whole path, 0 with a choice of slots; raise --duration"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("missing", ["goal", "path", "slot"])
+def test_samples_that_know_nothing_are_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: Samples, missing: str
+) -> None:
+    """Enough in --seeds, and then every label of one kind gone from --tune."""
+    without = {
+        "goal": replace(cut, goal_mask=np.zeros_like(cut.goal_mask)),
+        "path": replace(cut, future_mask=np.zeros_like(cut.future_mask)),
+        "slot": replace(cut, slot=np.full_like(cut.slot, -1)),
+    }
+    found = iter([cut, without[missing]])
+    monkeypatch.setattr("hatn_sim.learn.train.collect", lambda *_: next(found))
+    plan = TrainingPlan(("intersection4_allway",), (1,), (2,), 15.0)
+    words = {"goal": "0 with a known", "path": "0 with a whole", "slot": "0 with a choice"}
+    with pytest.raises(InputError, match=rf"--tune: .* {len(cut)} samples, .*{words[missing]}"):
+        train(plan, tmp_path / "x.safetensors", "", print)
+
+
+def test_a_run_without_a_vehicle_adds_no_sample(
+    traffic: tuple[Road, list[Frame]], cut: Samples
+) -> None:
+    with SumoSimulator(load_scenario("intersection4_allway")) as simulator:
+        frame = simulator.reset(11)
+    assert len(frame.scene.ids) == 0
+    none = samples_of_run(traffic[0], [frame])
+    assert len(none) == 0
+    both = concatenate([none, cut])
+    np.testing.assert_array_equal(both.x, cut.x)
+    assert both.x.dtype == cut.x.dtype and both.future.dtype == cut.future.dtype
 
 
 def test_the_coarse_free_travel_is_that_of_the_graphs(cut: Samples) -> None:

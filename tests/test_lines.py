@@ -11,6 +11,14 @@ from hatn_sim.perception import begin, perceive
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
 
+SCENES = (
+    "intersection5",
+    "intersection4_allway",
+    "tjunction",
+    "roundabout8",
+    "roundabout4_two_lane",
+)
+
 
 def route_at(road: Road, poses: list[tuple[float, float, float, float]], blinker: int = 0) -> str:
     state = begin(road)
@@ -60,24 +68,7 @@ def test_a_vehicle_off_every_line_has_none() -> None:
     assert route_at(road, [(-50.0, 0.0, np.pi, 5.0)] * 5) == "none", "against the direction"
 
 
-def test_history_only() -> None:
-    """Two futures with one past: the choice until then is the same."""
-    road = Road(crossing_lanes())
-    left = arc_poses(1.0)
-    states = []
-    for poses in (left, left[:70] + left[70:71] * 20):
-        state = begin(Road(crossing_lanes()))
-        seen = []
-        for frame, pose in enumerate(poses):
-            state = perceive(state, scene_of(0.1 * frame, {"v": pose}), None)
-            lines = state.seen.lines
-            seen.append((int(lines.line[0]), lines.s_m[0], lines.probability[0]))
-        states.append(seen[:70])
-    assert states[0] == states[1]
-    assert road.lanes
-
-
-@pytest.mark.parametrize("scene", ["intersection5", "intersection4_allway", "tjunction"])
+@pytest.mark.parametrize("scene", SCENES)
 def test_inferred_lines_are_the_routes_inside_the_junction(scene: str) -> None:
     """From two metres into a connection on, the inferred line runs where the route does."""
     right = total = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,7 +78,6 @@ def make_prediction(rng: np.random.Generator, frame: Frame) -> Prediction:
         front=unused,
         front_type=unused,
         x=np.zeros((egos, NODES, 1, 7)),
-        x_rel=np.zeros((egos, NODES, 1, 7)),
         context=np.zeros((egos, NODES, 1)),
         node_mask=node_mask,
         focus_mask=node_mask & (rng.random((egos, NODES)) < 0.8),
@@ -408,6 +408,14 @@ def damage_head(run: Path) -> None:
     (run / "run.json").write_text("{")
 
 
+def head_with(**content: object) -> Callable[[Path], None]:
+    def damage(run: Path) -> None:
+        head = json.loads((run / "run.json").read_text())
+        (run / "run.json").write_text(json.dumps({**head, **content}))
+
+    return damage
+
+
 def damage_part(run: Path) -> None:
     part = run / "tracks" / "part-00000.parquet"
     part.write_bytes(part.read_bytes()[:200])
@@ -434,6 +442,12 @@ def cut_events(run: Path) -> None:
     [
         (damage_version, "run.json: expected schema version 1, found 99; make the run again"),
         (damage_head, "run.json: expected the head of a run's log, found damage"),
+        (head_with(predictors=None), "predictors: expected list, found None"),
+        (head_with(predictors=[1]), "predictors: expected names, found [1]"),
+        (head_with(finished="yes"), "finished: expected bool, found 'yes'"),
+        (head_with(frames=None), "frames: expected int, found None"),
+        (head_with(settings=[]), "settings: expected dict, found []"),
+        (head_with(weights_sha256="abc"), "weights_sha256: expected dict, found 'abc'"),
         (damage_part, "part-00000.parquet: expected a Parquet part of a run's log"),
         (lose_last_part, "expected 310 frames, found 300; a part was lost"),
         (lose_first_part, "part-00000.parquet is missing although part-00001.parquet is there"),

@@ -81,9 +81,9 @@ def make_run(
     traffic: Traffic,
     predictors: dict[str, Predictor],
     frames: int = ONE_SAMPLE,
-    scene: str = "made_up",
+    **header: object,
 ) -> Run:
-    with RunWriter(out, {"scene": scene, "adapt": "mekf"}) as writer:
+    with RunWriter(out, {"scene": "made_up", "adapt": "mekf", **header}) as writer:
         for index in range(frames):
             said = {name: predict(index) for name, predict in predictors.items()}
             advice = {name: Advice(p, (), ()) for name, p in said.items() if p is not None}
@@ -253,7 +253,6 @@ def slots(
             front=unused,
             front_type=unused,
             x=np.zeros((7, 3, 1, 7)),
-            x_rel=np.zeros((7, 3, 1, 7)),
             context=np.zeros((7, 3, 1)),
             node_mask=mask,
             focus_mask=mask,
@@ -302,6 +301,24 @@ def test_slot_measures_by_hand(tmp_path: Path) -> None:
     assert (single.value, single.n) == (pytest.approx(1 / 7), 7)
     assert value(scores, "all", "single_slot_share").value == 0.0
     assert value(scores, "cannot", "single_slot_share").n == 0
+
+
+def test_graphs_where_nobody_knows_the_slot_taken_are_counted(tmp_path: Path) -> None:
+    traffic = junctions()
+    # At junctions 0 and 4 everybody has stopped, long before the conflict.
+    for vehicle in (0, 1, 12, 13):
+        traffic.xy_m[vehicle] -= traffic.velocity_mps[vehicle] * 2.0
+        traffic.velocity_mps[vehicle] = 0.0
+    predictors = {
+        "some": slots(traffic, LABELS, [1.0] * 6, single=1),
+        "cannot": traffic.exact,
+    }
+    scores = score_run(make_run(tmp_path / "run", traffic, predictors))
+    masked = value(scores, "some", "slot_masked_share")
+    assert (masked.value, masked.n, masked.unit) == (pytest.approx(2 / 6), 6, "share")
+    accuracy = value(scores, "some", "slot_accuracy")
+    assert (accuracy.value, accuracy.n) == (1.0, 4)
+    assert value(scores, "cannot", "slot_masked_share").n == 0
 
 
 def test_always_wrong_scores_zero(tmp_path: Path) -> None:
@@ -363,14 +380,14 @@ def test_no_interval_from_one_cluster_or_no_value() -> None:
 # --- several runs
 
 
-def offset_run(out: Path, offset_m: float, scene: str = "made_up") -> Run:
+def offset_run(out: Path, offset_m: float, **header: object) -> Run:
     traffic = two_cars()
 
     def off(index: int) -> Prediction:
         exact = traffic.exact(index)
         return replace(exact, xy_m=exact.xy_m + np.array([offset_m, 0.0]))
 
-    return make_run(out, traffic, {"off": off}, scene=scene)
+    return make_run(out, traffic, {"off": off}, **header)
 
 
 def test_runs_are_pooled_and_five_of_them_are_the_clusters(tmp_path: Path) -> None:
@@ -388,7 +405,7 @@ def test_runs_are_pooled_and_five_of_them_are_the_clusters(tmp_path: Path) -> No
 
 
 def test_scenes_are_scored_apart(tmp_path: Path) -> None:
-    runs = [offset_run(tmp_path / "a", 1.0, "one"), offset_run(tmp_path / "b", 2.0, "two")]
+    runs = [offset_run(tmp_path / n, m, scene=n) for n, m in (("one", 1.0), ("two", 2.0))]
     found = {
         score.scene: score.value
         for score in score_runs(runs)
@@ -405,6 +422,105 @@ def test_runs_with_different_predictors_are_not_pooled(tmp_path: Path) -> None:
     ]
     with pytest.raises(InputError, match=r"\(off\), found exact; score these runs one by one"):
         score_runs(runs)
+
+
+SETTINGS = {"lines": "inferred", "density": "normal", "risk": "courteous", "duration_s": 60.0}
+
+
+@pytest.mark.parametrize(
+    ("other", "differs"),
+    [
+        ({"settings": {**SETTINGS, "lines": "route"}}, "lines of {} (inferred), found route"),
+        ({"settings": {**SETTINGS, "density": None}}, "density of {} (normal), found None"),
+        ({"settings": {**SETTINGS, "risk": "tired"}}, "risk of {} (courteous), found tired"),
+        ({"adapt": "none"}, "adapt of {} (mekf), found none"),
+        ({"weights_sha256": {"off": "cd" * 32}}, "weights of off of {} (abababababab), found cdcd"),
+        ({"weights_sha256": {}}, "weights of off of {} (abababababab), found None"),
+    ],
+)
+def test_runs_made_in_different_ways_are_not_pooled(
+    tmp_path: Path, other: dict[str, object], differs: str
+) -> None:
+    header = {"settings": SETTINGS, "weights_sha256": {"off": "ab" * 32}}
+    first = offset_run(tmp_path / "a", 1.0, **header, seed=1)
+    second = offset_run(tmp_path / "b", 1.0, **{**header, **other}, seed=2)
+    with pytest.raises(InputError) as caught:
+        score_runs([first, second])
+    said = str(caught.value)
+    assert said.startswith(f"{second.path}: expected the {differs.format(first.path)}")
+    assert said.endswith("; score these runs one by one") and "\n" not in said
+    elsewhere = offset_run(tmp_path / "c", 1.0, **{**header, **other}, scene="other")
+    assert {score.scene for score in score_runs([first, elsewhere])} == {"made_up", "other"}
+
+
+def test_a_run_given_twice_is_refused(tmp_path: Path) -> None:
+    runs = {
+        name: offset_run(tmp_path / name, 1.0, seed=seed, settings=settings)
+        for name, seed, settings in (
+            ("one", 1, SETTINGS),
+            ("again", 1, SETTINGS),
+            ("longer", 1, {**SETTINGS, "duration_s": 120.0}),
+            ("other", 2, SETTINGS),
+        )
+    }
+    one = runs["one"]
+    for twice in (one, runs["again"]):
+        with pytest.raises(InputError) as caught:
+            score_runs([one, runs["other"], twice])
+        assert str(caught.value).startswith(f"{twice.path}: the same run as {one.path}: scene, see")
+    pooled = score_runs([one, runs["other"], runs["longer"]])
+    assert value(pooled, "off", "ade_3s").n == 6
+    unnamed = offset_run(tmp_path / "unnamed", 1.0)
+    with pytest.raises(InputError, match="give each run once"):
+        score_runs([unnamed, read_run(unnamed.path)])
+
+
+# --- what predictors must not do
+
+
+def test_an_answer_that_is_not_finite_is_no_way_out_of_a_sample(tmp_path: Path) -> None:
+    traffic = two_cars()
+
+    def lost(index: int) -> Prediction:
+        exact = traffic.exact(index)
+        if index == 15:
+            exact.xy_m[1, 0, 7, 0] = np.nan
+        return exact
+
+    def aimless(index: int) -> Prediction:
+        ones = np.ones((2, 1))
+        goal_m = np.array([[15.0], [np.inf if index == 10 else 0.0]])
+        return replace(traffic.exact(index), goal_weight=ones, goal_mean_m=goal_m, goal_std_m=ones)
+
+    for name, predict, what, frame in (
+        ("lost", lost, "positions", 15),
+        ("aimless", aimless, "goals", 10),
+    ):
+        run = make_run(tmp_path / name, traffic, {"fine": traffic.exact, name: predict}, frames=60)
+        with pytest.raises(InputError) as caught:
+            score_run(run)
+        assert str(caught.value) == (
+            f"{run.path}: expected finite {what} of predictor '{name}', found others for vehicle "
+            f"'v1' at frame {frame}; mend the predictor and make the run again"
+        )
+
+
+def test_routes_make_an_upper_bound_that_is_named_so(tmp_path: Path) -> None:
+    traffic = two_cars()
+    predictors: dict[str, Predictor] = dict.fromkeys(
+        ("hatn", "idm", "constant_velocity"), traffic.exact
+    )
+    for lines, names in (
+        ("inferred", ["hatn", "idm", "constant_velocity"]),
+        ("route", ["hatn+route", "idm+route", "constant_velocity"]),
+    ):
+        run = make_run(tmp_path / lines, traffic, predictors, settings={"lines": lines})
+        scores = score_run(run)
+        assert list(dict.fromkeys(score.predictor for score in scores)) == names
+        text = printed(scores)
+        assert ("hatn+route" in text) == (lines == "route")
+        assert ("an upper bound" in text) == (lines == "route")
+        assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
 
 
 # --- for people and programs
@@ -472,6 +588,7 @@ def test_the_table_fits_a_hundred_columns_and_says_what_it_shows() -> None:
         "123,456",
         "50.0 %",
         "[47.5 52.5]",
+        "masked",
         "bootstrapped over vehicles; x ratio to constant velocity",
     ):
         assert part in text

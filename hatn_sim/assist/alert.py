@@ -65,10 +65,10 @@ def alert(
             continue
         pair = (min(ego_id, other_id), max(ego_id, other_id))
         severity = float(np.clip(least[e, m] / 9.0, 0.0, 1.0))
+        reason = f"both need to brake at {least[e, m]:.1f} m/s2 or more not to meet"
         before = still.get(pair)
         if before is None:
             count += 1
-            reason = f"both need to brake at {least[e, m]:.1f} m/s2 or more not to meet"
             onset = Alert(
                 f"a{count:05d}",
                 "onset",
@@ -84,7 +84,9 @@ def alert(
         else:
             peak = before.alert
             if severity > peak.severity:
-                peak = replace(peak, edge="peak", severity=severity, time_s=scene.time_s)
+                peak = replace(
+                    peak, edge="peak", severity=severity, time_s=scene.time_s, reason=reason
+                )
             still[pair] = _Open(peak, scene.time_s)
     for pair, held in list(still.items()):
         if scene.time_s - held.last_s > END_AFTER_S:

@@ -22,19 +22,30 @@ from hatn_sim.datatypes import (
     Suggestion,
 )
 
-ABSTAIN_MARGIN: Final = 0.2
-"""No advice where the best two slots are nearer than this."""
-SWITCH_MARGIN: Final = 0.15
-"""A new slot must be this much more probable than the one suggested."""
+SPEAK_MARGIN: Final = 0.25
+"""Advice begins where the best slot leads the next by this much ..."""
+SILENT_MARGIN: Final = -0.15
+"""... and ends where another leads the one advised by this much."""
+FEASIBLE_BAND: Final = 0.2
+"""A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
 COMFORT_ACCELERATION_MPS2: Final = 2.0
 COMFORT_BRAKING_MPS2: Final = 3.0
 
 
 @dataclass(frozen=True)
-class SuggestionState:
-    """Which slot every ego was told to take: vehicle id of the slot, the ego's own for a yield."""
+class Told:
+    """What an ego was told last."""
 
-    slot_of: Mapping[str, str] = field(default_factory=dict[str, str])
+    slot_id: str  # the rear vehicle of the slot: the ego itself for a yield
+    action: str
+    feasible: bool
+
+
+@dataclass(frozen=True)
+class SuggestionState:
+    """What every advised ego was told last, by its id."""
+
+    told: Mapping[str, Told] = field(default_factory=dict[str, Told])
 
 
 def suggest(
@@ -55,38 +66,51 @@ def suggest(
     ]
     if not rows:
         return SuggestionState(), ()
-    slots = [
-        _choose(state, scene, graphs, chances[e], e, np.flatnonzero(graphs.focus_mask[e]).tolist())
-        for e in rows
+    before = [state.told.get(scene.ids[graphs.ego[e]]) for e in rows]
+    choices = [
+        _choose(scene, graphs, chances[e], e, told) for e, told in zip(rows, before, strict=True)
     ]
-    plan = _plan(scene, graphs, meeting, np.array(rows), np.array([slot for slot, _ in slots]))
+    was_feasible = np.array([told is None or told.feasible for told in before])
+    slots = np.array([choice.slot for choice in choices])
+    plan = _plan(scene, graphs, meeting, np.array(rows), slots, was_feasible)
     out = tuple(
-        _make(scene, graphs.ego[e], slot, float(chances[e, slot]), margin, plan, k)
-        for k, (e, (slot, margin)) in enumerate(zip(rows, slots, strict=True))
+        _make(scene, int(graphs.ego[e]), choice, plan, k)
+        for k, (e, choice) in enumerate(zip(rows, choices, strict=True))
     )
-    told = {
-        one.ego_id: scene.ids[graphs.rear[e, slot]]
-        for one, e, (slot, _) in zip(out, rows, slots, strict=True)
+    told_now = {
+        one.ego_id: Told(scene.ids[graphs.rear[e, choice.slot]], one.action, one.feasible)
+        for one, e, choice in zip(out, rows, choices, strict=True)
     }
-    return SuggestionState(told), out
+    return SuggestionState(told_now), out
+
+
+@dataclass(frozen=True)
+class _Choice:
+    slot: int
+    action: str
+    probability: float
+    margin: float  # to the best of the others
 
 
 def _choose(
-    state: SuggestionState,
-    scene: Scene,
-    graphs: SemanticGraphs,
-    chances: FloatArray,
-    e: int,
-    nodes: list[int],
-) -> tuple[int, float]:
-    """The slot of an ego and its margin to the next best; the one told before unless beaten."""
-    chance = {m: float(chances[m]) for m in nodes}
-    best = max(nodes, key=lambda m: chance[m])
-    before = state.slot_of.get(scene.ids[graphs.ego[e]])
-    for m in nodes:
-        if scene.ids[graphs.rear[e, m]] == before and chance[best] - chance[m] < SWITCH_MARGIN:
-            best = m
-    return best, chance[best] - max(chance[m] for m in nodes if m != best)
+    scene: Scene, graphs: SemanticGraphs, chances: FloatArray, e: int, told: Told | None
+) -> _Choice:
+    """The slot to advise: the one told before, until another is clearly better.
+
+    Where two slots are close, the advice that was given stands; where none was given, none is.
+    """
+    chance = {m: float(chances[m]) for m in np.flatnonzero(graphs.focus_mask[e]).tolist()}
+
+    def margin(slot: int) -> float:
+        return chance[slot] - max(value for m, value in chance.items() if m != slot)
+
+    if told is not None and told.action != "abstain":
+        for m in chance:
+            if scene.ids[graphs.rear[e, m]] == told.slot_id and margin(m) > SILENT_MARGIN:
+                return _Choice(m, told.action, chance[m], margin(m))
+    best = max(chance, key=lambda m: chance[m])
+    action = "abstain" if margin(best) < SPEAK_MARGIN else ("pass" if best else "yield")
+    return _Choice(best, action, chance[best], margin(best))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +124,12 @@ class _Plan:
 
 
 def _plan(
-    scene: Scene, graphs: SemanticGraphs, meeting: Encounters, row: IntArray, slot: IntArray
+    scene: Scene,
+    graphs: SemanticGraphs,
+    meeting: Encounters,
+    row: IntArray,
+    slot: IntArray,
+    was_feasible: BoolArray,
 ) -> _Plan:
     others = graphs.focus_mask[row].copy()
     others[:, 0] = False
@@ -116,37 +145,29 @@ def _plan(
     brake = required_deceleration_mps2(meeting.ego_room_m[row, node], speed, target)
     push = 2.0 * (distance - speed * target) / np.maximum(target, 0.1) ** 2
     limit = np.maximum(speed, graphs.context[row, 0, 0])
+    effort = np.where(yields, brake / COMFORT_BRAKING_MPS2, push / COMFORT_ACCELERATION_MPS2)
     return _Plan(
         other=graphs.rear[row, node],
         target_s=target,
         advised_mps=np.minimum(distance / np.maximum(target, 0.1), limit),
-        feasible=np.where(yields, brake <= COMFORT_BRAKING_MPS2, push <= COMFORT_ACCELERATION_MPS2),
+        feasible=effort <= np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND),
     )
 
 
-def _make(
-    scene: Scene,
-    ego: int,
-    slot: int,
-    probability: float,
-    margin: float,
-    plan: _Plan,
-    k: int,
-) -> Suggestion:
-    action = "abstain" if margin < ABSTAIN_MARGIN else ("pass" if slot else "yield")
+def _make(scene: Scene, ego: int, choice: _Choice, plan: _Plan, k: int) -> Suggestion:
     other, target_s = int(plan.other[k]), float(plan.target_s[k])
     feasible = bool(plan.feasible[k])
     return Suggestion(
         ego_id=scene.ids[ego],
         time_s=scene.time_s,
-        action=action,
+        action=choice.action,
         slot_id=scene.ids[other],
-        probability=probability,
-        margin=margin,
+        probability=choice.probability,
+        margin=choice.margin,
         target_time_s=target_s,
         advised_speed_mps=float(plan.advised_mps[k]),
         feasible=feasible,
-        text=_words(scene, ego, other, action, target_s, feasible),
+        text=_words(scene, ego, other, choice.action, target_s, feasible),
     )
 
 

@@ -78,7 +78,7 @@ def look() -> list[Check]:
         _package(name, f"pip install 'hatn-sim[{extra}]' for {purpose}", False)
         for name, (extra, purpose) in _EXTRAS.items()
     ]
-    checks += [_display(), _branching()]
+    checks.append(_display())
     return checks
 
 
@@ -142,9 +142,3 @@ def _display() -> Check:
     found = ("a display" if there else "no DISPLAY") + (", sumo-gui" if gui else ", no sumo-gui")
     remedy = "sumo-gui needs a display (xvfb-run gives one) and pip install 'hatn-sim[gui]'"
     return Check("display", there and gui is not None, False, found, remedy)
-
-
-def _branching() -> Check:
-    there = hasattr(os, "fork")
-    found = "os.fork" if there else f"no os.fork on {sys.platform}"
-    return Check("branching", there, False, found, "exact counterfactuals need Linux or macOS")

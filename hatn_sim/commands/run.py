@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Advice, Frame, Predictor, Score
-    from hatn_sim.log import RunWriter
+    from hatn_sim.log import Run, RunWriter
     from hatn_sim.simulators.sumo import SumoSimulator
 
 EXAMPLES = """examples:
@@ -31,6 +31,7 @@ EXAMPLES = """examples:
   hatn-sim run my/town.sumocfg --egos bus_12,car_3 --out runs/town
 """
 WARM_UP_S = 60.0
+STEP_S = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -134,9 +135,14 @@ def _check_out(out: Path) -> None:
 def _load_predictors(arguments: argparse.Namespace) -> list[Predictor]:
     """The main predictor and those to compare it with."""
     from hatn_sim.errors import InputError
-    from hatn_sim.predictors.find import load_predictor
+    from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
 
     wanted = dict.fromkeys((arguments.predictor, *arguments.compare))
+    if arguments.weights is not None and READS_WEIGHTS.isdisjoint(wanted):
+        raise InputError(
+            f"--weights {arguments.weights}: {', '.join(wanted)} reads none; leave it out, or add "
+            f"--compare {','.join(sorted(READS_WEIGHTS))}"
+        )
     predictors = [load_predictor(name, arguments.weights) for name in wanted]
     names = [predictor.name for predictor in predictors]
     for name in names:
@@ -197,13 +203,13 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     if never and not arguments.quiet:
         print(f"hatn-sim: never seen in this run: --egos {','.join(never)}", file=sys.stderr)
     if arguments.json:
-        print(scores_json(scores))
+        print(scores_json([*scores, *_rates(logged, done.frames, taken_s)]))
         return 0
     make_console().print(score_table(scores, clustered_over([logged])))
     print(
-        f"{done.frames} steps of 0.1 s, {len(logged.ids)} vehicles, in {taken_s:.1f} s, log and "
-        f"scores included: {done.frames / taken_s:.0f} steps per second, "
-        f"{0.1 * done.frames / taken_s:.1f} times real time"
+        f"{done.frames} steps of {STEP_S:g} s, {len(logged.ids)} vehicles, in {taken_s:.1f} s, "
+        f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
+        f"{STEP_S * done.frames / taken_s:.1f} times real time"
     )
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
@@ -211,6 +217,22 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     if pictures:
         print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
     return 0
+
+
+def _rates(logged: Run, frames: int, taken_s: float) -> list[Score]:
+    """How fast the run was; not for its scores.json, which is equal in equal runs."""
+    from hatn_sim.datatypes import Score
+    from hatn_sim.score.prediction import reported_name
+
+    main = reported_name(logged, logged.predictors[0])
+    scene, per_second = str(logged.header["scene"]), frames / taken_s
+    return [
+        Score(measure, main, scene, "all", "none", value, unit, frames, None, None)
+        for measure, value, unit in (
+            ("steps_per_second", per_second, "1/s"),
+            ("real_time_factor", STEP_S * per_second, "x"),
+        )
+    ]
 
 
 def _draw(logged: Any, out: Path, quiet: bool) -> list[Path]:
@@ -237,6 +259,7 @@ def make_header(
     }
     return {
         "scene": scenario.name,
+        "title": scenario.title or scenario.name,
         "seed": arguments.seed,
         "adapt": "none",
         "settings": {

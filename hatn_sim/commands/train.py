@@ -12,9 +12,10 @@ from pathlib import Path
 
 from hatn_sim.commands.options import names, seconds, seeds, whole_number
 
-EXAMPLES = """example, the command that made the weights that ship:
-  hatn-sim train --scenes intersection5 --seeds 1-24 --tune 101-104 --duration 900 \\
-      --out hatn.safetensors
+EXAMPLES = """example:
+  hatn-sim train --out my.safetensors
+
+The command that made the weights that ship is in their card, hatn_sim/hatn/weights/hatn.json.
 """
 
 
@@ -55,7 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sgn-epochs", type=whole_number, default=20, metavar="N")
     parser.add_argument("--edn-epochs", type=whole_number, default=20, metavar="N")
     parser.add_argument("--workers", type=whole_number, default=2, metavar="N", help="processes")
-    parser.add_argument("--torch-seed", type=int, default=0, metavar="N")
+    parser.add_argument(
+        "--torch-seed", type=int, default=0, metavar="N", help="0 or more (default: 0)"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.safetensors")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -68,8 +71,11 @@ def main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out}: expected a name that ends in .safetensors")
-    if out.exists():
-        raise InputError(f"--out {out}: exists already; choose another name or remove it")
+    for file in (out, out.with_suffix(".json")):
+        if file.exists():
+            raise InputError(
+                f"--out {out}: {file.name} exists already; choose another name or remove it"
+            )
     for scene in arguments.scenes:
         for risk in arguments.risks:
             load_scenario(scene, arguments.density, risk)

@@ -41,6 +41,7 @@ RACE_FEATURES = (
 QUEUED = CONTEXT.index("front is a vehicle of the focus group")
 QUEUED_PENALTY = 6.0
 """Who queues behind another is not first; finite, since lines and leaders may be wrong."""
+LABEL_SMOOTHING = 0.05
 GOAL_SCALE_M = 10.0
 MIN_GOAL_STD_M = 0.1
 HORIZON_S = 3.0
@@ -54,6 +55,7 @@ class SgnSettings:
     components: int = 3
     class_weight: float = 2.0  # beta of the paper's loss
     dropout: float = 0.1
+    race_dropout: float = 0.5
     history_stride: int = 2  # every second frame tells as much, in half the time; 1 is the paper's
 
 
@@ -106,7 +108,11 @@ class SemanticGraphNetwork(nn.Module):
         self.combine = nn.Linear(2 * width, width)
         self.evolve = _dense(2 * width, width)
         self.dropout = nn.Dropout(settings.dropout)
-        self.race_head = nn.Sequential(_dense(width, width), nn.Linear(width, 1))
+        # Who goes first is soon known by heart for one scene: half of what it may rest on is
+        # hidden in training, so that it also holds elsewhere.
+        self.race_head = nn.Sequential(
+            nn.Dropout(settings.race_dropout), _dense(width, width), nn.Linear(width, 1)
+        )
         self.race_skip = nn.Linear(len(RACE_FEATURES), 1, bias=False)
         self.ego_bias = nn.Parameter(torch.zeros(()))
         # The road ahead says how far, not who goes first: it is kept from the slots, where it
@@ -213,5 +219,11 @@ def sgn_loss(
     several = (slot >= 0) & (batch.focus_mask.sum(-1) > 1)
     if not bool(several.any()):
         return regression, regression.new_zeros(())
-    classes = nn.functional.nll_loss(intention.slot_logit[several], slot[several])
-    return regression, class_weight * classes
+    log_probability = intention.slot_logit[several]
+    classes = nn.functional.nll_loss(log_probability, slot[several])
+    # A little of every admissible slot: certainty learned on one scene is too much on another.
+    open_slots = batch.focus_mask[several]
+    spread = -log_probability.masked_fill(~open_slots, 0.0).sum(-1) / open_slots.sum(-1)
+    return regression, class_weight * (
+        (1.0 - LABEL_SMOOTHING) * classes + LABEL_SMOOTHING * spread.mean()
+    )

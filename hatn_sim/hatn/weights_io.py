@@ -1,22 +1,45 @@
-"""Weights: safetensors with a JSON card beside them that says how they were made."""
+"""Weights: safetensors with a JSON card beside them that says how they were made.
+
+Tensors mean something only together with the settings of their networks, the order of their inputs
+and the scales these are divided by. The card carries all three, and nothing else is loaded.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
+import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load, save
+from torch import Tensor, nn
 
+from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
 from hatn_sim.errors import InputError
+from hatn_sim.graph import CONTEXT
+from hatn_sim.hatn import edn as edn_module
+from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
 
-FORMAT: Final = 1
+FORMAT: Final = 2
+RANGES: Final[Mapping[str, tuple[float, float]]] = {
+    "width": (1, 4096),
+    "components": (1, 64),
+    "class_weight": (0.0, 1e6),
+    "dropout": (0.0, 1.0),
+    "race_dropout": (0.0, 1.0),
+    "history_stride": (1, HISTORY_FRAMES),
+}
+"""What each setting may be, both ends included."""
+AGAIN: Final = "train again with `hatn-sim train`"
+
+Settings = TypeVar("Settings", SgnSettings, EdnSettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,25 +52,70 @@ class Weights:
     sha256: str
 
 
-def save_weights(
-    path: Path, sgn: SemanticGraphNetwork, edn: EncoderDecoderNetwork, card: Mapping[str, Any]
-) -> None:
-    """Write `path` (.safetensors) and its card (.json)."""
-    tensors = {f"sgn.{k}": v.contiguous() for k, v in sgn.state_dict().items()}
-    tensors |= {f"edn.{k}": v.contiguous() for k, v in edn.state_dict().items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(tensors, path)
-    whole = {
+def features() -> dict[str, Any]:
+    """What the networks of this version read and write: names in order, scales and bounds."""
+    return {
+        "context": list(CONTEXT),
+        "feature_scale": list(sgn_module.FEATURE_SCALE),
+        "context_scale": list(sgn_module.CONTEXT_SCALE),
+        "history_scale": list(edn_module.HISTORY_SCALE),
+        "goal_scale_m": [sgn_module.GOAL_SCALE_M, edn_module.GOAL_SCALE_M],
+        "queued_penalty": sgn_module.QUEUED_PENALTY,
+        "increment_scale_m": edn_module.INCREMENT_SCALE_M,
+        "max_acceleration_mps2": [edn_module.MAX_ACCELERATION_MPS2, edn_module.MAX_LATERAL_MPS2],
+        "frames": [HISTORY_FRAMES, HORIZON_FRAMES],
+        "dt_s": DT_S,
+    }
+
+
+def card_of(
+    sgn: SemanticGraphNetwork, edn: EncoderDecoderNetwork, card: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The whole card of two networks: `card`, with what the tensors' meaning hangs on.
+
+    Format, settings and features are always those of the networks, whatever `card` says of them.
+    """
+    own = {
         "format": FORMAT,
         "sgn": asdict(sgn.settings),
         "edn": asdict(edn.settings),
-        **card,
+        "features": features(),
     }
-    path.with_suffix(".json").write_text(json.dumps(whole, indent=2) + "\n", encoding="utf-8")
+    return own | {key: value for key, value in card.items() if key not in own}
+
+
+def save_weights(
+    path: Path, sgn: SemanticGraphNetwork, edn: EncoderDecoderNetwork, card: Mapping[str, Any]
+) -> None:
+    """Write `path` (.safetensors) and its card (.json), each whole or not at all.
+
+    InputError where the folder cannot be written.
+    """
+    tensors = {name: value.contiguous() for name, value in _pair(sgn, edn).state_dict().items()}
+    text = json.dumps(card_of(sgn, edn, card), indent=2) + "\n"
+    make_folder(path)
+    _write(path.with_suffix(".json"), text.encode())
+    _write(path, save(tensors))
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder of the file `path`. InputError where a file cannot be written there."""
+    probe = _temporary(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(
+            f"weights {path}: cannot be written there: {error.strerror}; choose another folder"
+        ) from None
 
 
 def load_weights(path: Path) -> Weights:
-    """Networks from a weight file. InputError where it is missing, corrupt or of another format."""
+    """Networks from a weight file.
+
+    InputError where it or its card is missing, corrupt, of another format or for other features.
+    """
     card_path = path.with_suffix(".json")
     for needed in (path, card_path):
         if not needed.is_file():
@@ -55,35 +123,91 @@ def load_weights(path: Path) -> Weights:
                 f"weights {path}: no file {needed.name} there; give a .safetensors file that "
                 "`hatn-sim train` wrote, with the .json card beside it"
             )
+    card = _read_card(path, card_path)
+    sgn_settings = _settings(card_path, card, "sgn", SgnSettings)
+    edn_settings = _settings(card_path, card, "edn", EdnSettings)
     try:
-        card = json.loads(card_path.read_text(encoding="utf-8"))
-        found = card["format"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"weights card {card_path}: not a card ({error}); train again with `hatn-sim train`"
-        ) from None
-    if found != FORMAT:
-        raise InputError(
-            f"weights {path}: format {found}, this version reads format {FORMAT}; "
-            "train again with `hatn-sim train`"
-        )
-    try:
-        sgn = SemanticGraphNetwork(SgnSettings(**card["sgn"]))
-        edn = EncoderDecoderNetwork(EdnSettings(**card["edn"]))
-        tensors = load_file(path)
-        sgn.load_state_dict(_part(tensors, "sgn."))
-        edn.load_state_dict(_part(tensors, "edn."))
-    except (SafetensorError, RuntimeError, TypeError, KeyError, OSError) as error:
+        data = path.read_bytes()
+        tensors = load(data)
+        sgn, edn = SemanticGraphNetwork(sgn_settings), EncoderDecoderNetwork(edn_settings)
+        _pair(sgn, edn).load_state_dict(tensors)
+    except (SafetensorError, RuntimeError, ValueError, TypeError, KeyError, OSError) as error:
         reason = " ".join(str(error).split())
         raise InputError(
             f"weights {path}: cannot be read as the networks of its card ({reason[:160]}); "
-            "copy the file again or train again with `hatn-sim train`"
+            f"copy the file again or {AGAIN}"
         ) from None
-    sgn.eval()
-    edn.eval()
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return Weights(sgn=sgn, edn=edn, card=card, sha256=digest)
+    _check_finite(path, tensors)
+    return Weights(sgn.eval(), edn.eval(), card, hashlib.sha256(data).hexdigest())
 
 
-def _part(tensors: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+def _read_card(path: Path, card_path: Path) -> dict[str, Any]:
+    try:
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+        found = card["format"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"weights card {card_path}: not a card ({error}); {AGAIN}") from None
+    if found != FORMAT:
+        raise InputError(
+            f"weights {path}: format {found}, this version reads format {FORMAT}; {AGAIN}"
+        )
+    here, there = features(), card.get("features")
+    if there != here:
+        known: Mapping[str, Any] = there if isinstance(there, dict) else {}
+        other = [name for name in here | known if known.get(name) != here.get(name)]
+        raise InputError(
+            f"weights {path}: made for other features than this version has "
+            f"({', '.join(other)} differ); {AGAIN}"
+        )
+    return dict(card)
+
+
+def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Settings]) -> Settings:
+    """The settings of one network from the card: all of them, no others, each in its range."""
+    found = card.get(network)
+    names = [field.name for field in fields(kind)]
+    if not isinstance(found, dict) or set(found) != set(names):
+        given = ", ".join(map(str, found)) if isinstance(found, dict) else repr(found)
+        raise InputError(
+            f"weights card {path}: {network}: expected the settings {', '.join(names)}, "
+            f"found {given or 'none'}; {AGAIN}"
+        )
+    for name in names:
+        value, (low, high) = found[name], RANGES[name]
+        types = int if isinstance(low, int) else (int, float)
+        right = isinstance(value, types) and not isinstance(value, bool)
+        if not (right and low <= value <= high):
+            raise InputError(
+                f"weights card {path}: {network}.{name}: expected "
+                f"{'a whole number' if types is int else 'a number'} from {low:g} to {high:g}, "
+                f"found {value!r}; {AGAIN}"
+            )
+    return kind(**found)
+
+
+def _check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    for name, value in tensors.items():
+        if not bool(torch.isfinite(value).all()):
+            raise InputError(f"weights {path}: {name} is not finite; {AGAIN}")
+
+
+def _pair(sgn: SemanticGraphNetwork, edn: EncoderDecoderNetwork) -> nn.ModuleDict:
+    """Both networks as one, whose tensors are named sgn.* and edn.*."""
+    return nn.ModuleDict({"sgn": sgn, "edn": edn})
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file under another name first, so that nobody ever sees half of it."""
+    temporary = _temporary(path)
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(
+            f"weights {path}: cannot be written: {error.strerror}; make room there"
+        ) from None
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}")

@@ -78,7 +78,7 @@ def samples_of_run(road: Road, frames: Iterable[Frame], use_routes: bool = False
         )
         at_frame.append(np.full(len(scene.ids), index))
         positions.append(scene.xy_m)
-        if index % SAMPLE_EVERY_FRAMES == 0 and len(scene.ids):
+        if index % SAMPLE_EVERY_FRAMES == 0:
             moments.append(_Moment(index, state.seen, build_graphs(road, state.seen)))
         total = index + 1
     trajectories = _trajectories(
@@ -88,8 +88,7 @@ def samples_of_run(road: Road, frames: Iterable[Frame], use_routes: bool = False
         np.concatenate(positions),
         total,
     )
-    parts = [_samples_of_moment(road, m, trajectories, row_of) for m in moments]
-    return concatenate([part for part in parts if len(part)])
+    return concatenate([_samples_of_moment(road, m, trajectories, row_of) for m in moments])
 
 
 def _samples_of_moment(
@@ -143,10 +142,11 @@ def _future(
     last = trajectories.frame_count - 1
     at = np.minimum(frame + 1 + np.arange(HORIZON_FRAMES), last)
     inside = frame + 1 + np.arange(HORIZON_FRAMES) <= last
-    xy = trajectories.xy_m[row][:, at]
-    mask = trajectories.valid[row][:, at] & inside
+    xy, mask = trajectories.xy_at(row[:, None], at)
+    mask &= inside
     mask = np.cumprod(mask, axis=1).astype(np.bool_)
-    travelled = trajectories.travelled_m[row][:, at] - trajectories.travelled_m[row, frame, None]
+    travelled = trajectories.travelled_at(row[:, None], at)
+    travelled -= trajectories.travelled_at(row[:, None], frame)
     line = np.repeat(seen.lines.line[ego], HORIZON_FRAMES)
     guess = (seen.lines.s_m[ego, None] + np.where(mask, travelled, 0.0)).ravel()
     s, d = road.project(line, xy.reshape(-1, 2), guess, 5.0)

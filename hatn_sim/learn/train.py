@@ -21,7 +21,7 @@ from hatn_sim.datatypes import Frame
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
 from hatn_sim.hatn.sgn import GraphBatch, SemanticGraphNetwork, SgnSettings, sgn_loss
-from hatn_sim.hatn.weights_io import save_weights
+from hatn_sim.hatn.weights_io import make_folder, save_weights
 from hatn_sim.learn.augment import (
     change_limits,
     random_scale,
@@ -32,8 +32,11 @@ from hatn_sim.learn.augment import (
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.loop import warm_up
 
+WEIGHT_DECAY = 0.01
 WARM_UP_S = 60.0
 """Traffic builds up for this long before samples are taken."""
+MAX_SEED = 2**64 - 1
+"""The largest that torch takes."""
 Say = Callable[[str], None]
 
 
@@ -98,17 +101,19 @@ def collect(runs: Sequence[RunOfTraffic], workers: int, say: Say) -> Samples:
 
 
 def train(plan: TrainingPlan, out: Path, command: str, say: Say) -> dict[str, Any]:
-    """Train both networks, write the weights and their card, and return the card."""
-    shared = set(plan.seeds) & set(plan.tune_seeds)
-    if shared:
-        raise InputError(
-            f"--seeds and --tune share {sorted(shared)}: the seeds that stop the training must be "
-            "others than those it learns from"
-        )
+    """Train both networks, write the weights and their card, and return the card.
+
+    InputError, before anything is simulated, where the plan or the folder of `out` is unfit, and
+    before anything is trained where the traffic gave too little to learn from.
+    """
+    _check_plan(plan)
+    make_folder(out)
     torch.manual_seed(plan.seed)
     torch.set_num_threads(max(plan.workers, 1))
     learn = collect(_runs(plan, plan.seeds), plan.workers, say)
     tune = collect(_runs(plan, plan.tune_seeds), plan.workers, say)
+    _check_samples("--seeds", learn, plan.duration_s)
+    _check_samples("--tune", tune, plan.duration_s)
     sgn, sgn_figures = train_sgn(learn, tune, plan, say)
     goals, tune_goals = predicted_goals(sgn, learn), predicted_goals(sgn, tune)
     edn, edn_figures = train_edn(learn, tune, goals, tune_goals, plan, say)
@@ -129,6 +134,35 @@ def train(plan: TrainingPlan, out: Path, command: str, say: Say) -> dict[str, An
     }
     save_weights(out, sgn, edn, card)
     return card
+
+
+def _check_plan(plan: TrainingPlan) -> None:
+    if not (plan.scenes and plan.risks and plan.seeds and plan.tune_seeds):
+        raise InputError("--scenes, --risks, --seeds and --tune: expected at least one of each")
+    shared = set(plan.seeds) & set(plan.tune_seeds)
+    if shared:
+        raise InputError(
+            f"--seeds and --tune share {sorted(shared)}: the seeds that stop the training must be "
+            "others than those it learns from"
+        )
+    if not 0 <= plan.seed <= MAX_SEED:
+        raise InputError(f"--torch-seed {plan.seed}: expected 0 or more, and less than 2^64")
+
+
+def _check_samples(option: str, samples: Samples, duration_s: float) -> None:
+    """InputError unless there is something of every kind to learn from, and to judge by."""
+    kinds = {
+        "with a known goal": samples.goal_mask[:, 0],
+        "with a whole path": samples.future_mask.all(axis=1),
+        "with a choice of slots": (samples.slot >= 0) & (samples.focus_mask.sum(axis=1) > 1),
+    }
+    counts = {kind: int(rows.sum()) for kind, rows in kinds.items()}
+    if not all(counts.values()):
+        found = ", ".join(f"{count} {kind}" for kind, count in counts.items())
+        raise InputError(
+            f"{option}: too little to learn from in {duration_s:g} s a seed: {len(samples)} "
+            f"samples, {found}; raise --duration"
+        )
 
 
 def _runs(plan: TrainingPlan, seeds: Sequence[int]) -> list[RunOfTraffic]:
@@ -247,7 +281,9 @@ def _fit(
 ) -> dict[str, float]:
     """Adam with a cosine schedule; the epoch that is best on the tuning seeds is kept."""
     random = np.random.default_rng(plan.seed)
-    optimiser = torch.optim.Adam(model.parameters(), lr=plan.learning_rate)
+    optimiser = torch.optim.AdamW(
+        model.parameters(), lr=plan.learning_rate, weight_decay=WEIGHT_DECAY
+    )
     steps = epochs * math.ceil(len(learn) / plan.batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, plan.learning_rate, max(steps, 2))
     best: dict[str, float] = {}

@@ -29,6 +29,11 @@ from hatn_sim.labels import Trajectories, trajectories_from_rows
 from hatn_sim.log import schema
 from hatn_sim.log.parts import padded, part_count, read_parts
 
+HEAD = {"predictors": list, "finished": bool, "frames": int}
+"""Keys of run.json that are read, and the types of their values."""
+OPTIONAL_HEAD = {"settings": dict, "weights_sha256": dict}
+"""The same of keys that a log may lack."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrackTable:
@@ -107,6 +112,11 @@ class Run:
     frame_count: int
     parts: int
     predictors: tuple[str, ...]  # the main one first
+
+    @property
+    def by_route(self) -> bool:
+        """Lines came from the simulator's routes, which no camera can see: an upper bound."""
+        return self.header.get("settings", {}).get("lines") == "route"
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
@@ -197,7 +207,7 @@ class Run:
         mode_probability, _ = padded(rows["mode_probability"])
         offset, _ = padded(rows["offset_xy_m"])
         offset_xy_m = offset.reshape(len(frame), mode_probability.shape[1], HORIZON_FRAMES, 2)
-        now_xy_m = self.trajectories.xy_m[vehicle, frame]
+        now_xy_m, _ = self.trajectories.xy_at(vehicle, frame)
         goals = {n: padded(rows[n]) for n in ("goal_weight", "goal_mean_m", "goal_std_m")}
         slot_vehicle, slot_mask = padded(rows["slot_id"], fill=-1)
         slots = {n: _as_wide(padded(rows[n])[0], slot_mask) for n in schema.SLOT_COLUMNS[1:]}
@@ -295,7 +305,8 @@ def read_run(path: Path) -> Run:
     try:
         header = json.loads(_read_text(file))
         version = header["schema_version"]
-        named, finished, frames = header["predictors"], header["finished"], header["frames"]
+        if version == schema.SCHEMA_VERSION:
+            _check_head(header)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{file}: expected the head of a run's log, found damage ({error!r}); "
@@ -306,6 +317,7 @@ def read_run(path: Path) -> Run:
             f"{file}: expected schema version {schema.SCHEMA_VERSION}, found {version}; "
             "make the run again with this version of hatn-sim, or read it with that one"
         )
+    named, finished, frames = header["predictors"], header["finished"], header["frames"]
     parts = part_count(path / schema.FRAMES_FOLDER)
     columns = (schema.Column("frame", "int32"),)
     frame_count = len(read_parts(path / schema.FRAMES_FOLDER, parts, columns)["frame"])
@@ -318,6 +330,16 @@ def read_run(path: Path) -> Run:
     found = [schema.predictor_name(folder.name) for folder in folders]
     predictors = tuple(dict.fromkeys([*named, *found]))
     return Run(path, header, finished, frame_count, parts, predictors)
+
+
+def _check_head(header: dict[str, Any]) -> None:
+    """Raises KeyError or TypeError where a key that is read is missing or of another type."""
+    given = HEAD | {key: kind for key, kind in OPTIONAL_HEAD.items() if key in header}
+    for key, kind in given.items():
+        if type(header[key]) is not kind:
+            raise TypeError(f"{key}: expected {kind.__name__}, found {header[key]!r}")
+    if not all(type(name) is str for name in header["predictors"]):
+        raise TypeError(f"predictors: expected names, found {header['predictors']!r}")
 
 
 def _read_text(path: Path) -> str:

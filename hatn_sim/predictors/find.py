@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -35,10 +36,16 @@ PREDICTORS: Final[dict[str, Callable[[Path | None], Predictor]]] = {
     "constant_velocity": _constant_velocity,
     "idm": _idm,
 }
+READS_WEIGHTS: Final = frozenset({"hatn"})
+"""Those that `weights` are for; anybody's own are made without arguments."""
 
 
 def load_predictor(name: str, weights: Path | None = None) -> Predictor:
-    """The predictor of that name, or an instance of `module:Class`. InputError if there is none."""
+    """The predictor of that name, or an instance of `module:Class`.
+
+    A module is looked for in the working directory first, as `python -m` does. InputError where
+    there is none, or where importing or making it fails, with what was raised.
+    """
     if name in PREDICTORS:
         return PREDICTORS[name](weights)
     if ":" not in name:
@@ -48,12 +55,22 @@ def load_predictor(name: str, weights: Path | None = None) -> Predictor:
         )
     module_name, _, class_name = name.partition(":")
     try:
+        _look_here()
         made: Predictor = getattr(import_module(module_name), class_name)()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # somebody else's code may raise anything
+        said = " ".join(f"{error} ({type(error).__name__})".split())
         raise InputError(
-            f"predictor {name!r}: {error}; expected module:Class, importable from here"
-        ) from None
+            f"predictor {name!r}: {said}; expected module:Class, importable from here, "
+            "that can be made without arguments"
+        ) from error
     for needed in ("name", "init", "observe", "predict"):
         if not hasattr(made, needed):
             raise InputError(f"predictor {name!r}: has no {needed!r}, see datatypes.Predictor")
     return made
+
+
+def _look_here() -> None:
+    """Let imports find files in the working directory, which a console script leaves out."""
+    here = str(Path.cwd())
+    if "" not in sys.path and here not in sys.path:
+        sys.path.insert(0, here)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -121,9 +122,8 @@ def _telling(run: Run, table: PredictionTable, rows: IntArray, others: BoolArray
     ego_m = _travelled_m(run, table, rows)
     rear = np.maximum(table.slot_vehicle[rows], 0)
     frame = np.repeat(table.frame[rows][:, None], rear.shape[1], axis=1)
-    all_m = run.trajectories.travelled_m
-    others_m = all_m[rear, frame + HORIZON_FRAMES] - all_m[rear, frame]
-    now_xy_m = run.trajectories.xy_m[rear, frame]
+    others_m = _gone_m(run, rear, frame)
+    now_xy_m, _ = run.trajectories.xy_at(rear, frame)
     away_m = np.linalg.norm(now_xy_m - now_xy_m[:, :1], axis=2)
     length_m = table.slot_length_m[rows]
     ahead_m = table.ego_to_conflict_m[rows, 0]
@@ -144,18 +144,24 @@ def _telling(run: Run, table: PredictionTable, rows: IntArray, others: BoolArray
 
 def _travelled_m(run: Run, table: PredictionTable, rows: IntArray) -> FloatArray:
     """How far the vehicles of these rows go in the next 3 s."""
-    travelled = run.trajectories.travelled_m
-    vehicle, frame = table.vehicle[rows], table.frame[rows]
-    gone: FloatArray = travelled[vehicle, frame + HORIZON_FRAMES] - travelled[vehicle, frame]
-    return gone
+    return _gone_m(run, table.vehicle[rows], table.frame[rows])
+
+
+def _gone_m(run: Run, vehicle: IntArray, frame: IntArray) -> FloatArray:
+    travelled_at = run.trajectories.travelled_at
+    return travelled_at(vehicle, frame + HORIZON_FRAMES) - travelled_at(vehicle, frame)
 
 
 def _company(run: Run, table: PredictionTable, rows: IntArray) -> FloatArray:
     """How many vehicles are near those of these rows."""
     near = np.zeros(len(rows))
-    trajectories = run.trajectories
-    for vehicle in range(len(run.ids)):
-        frame = table.frame[rows]
-        away = trajectories.xy_m[vehicle, frame] - trajectories.xy_m[table.vehicle[rows], frame]
-        near += trajectories.valid[vehicle, frame] & ((away**2).sum(axis=1) < COMPANY_M**2)
+    own_xy_m, _ = run.trajectories.xy_at(table.vehicle[rows], table.frame[rows])
+    frames, starts = np.unique(table.frame[rows], return_index=True)
+    scene_starts, scene_ends = (
+        np.searchsorted(run.tracks.frame, frames, side) for side in ("left", "right")
+    )
+    bounds = np.append(starts, len(rows)).tolist()
+    for (first, last), *scene in zip(pairwise(bounds), scene_starts, scene_ends, strict=True):
+        away = own_xy_m[first:last, None] - run.tracks.xy_m[slice(*scene)]
+        near[first:last] = ((away**2).sum(axis=2) < COMPANY_M**2).sum(axis=1)
     return near - 1.0

@@ -99,11 +99,10 @@ def read_moments(run: Run, first: int, count: int, ego_id: str) -> Iterator[Mome
         raise InputError(f"{run.path}: no vehicle {ego_id!r} in this run; see its tracks for ids")
     table = main_predictions(run)
     state = begin(Road(read_road(run.path / ROAD_FILE)))
-    by_route = run.header.get("lines") == "route"
     start, stop = max(first - WARM_UP_FRAMES, 0), min(first + count, run.frame_count)
     for frame, logged in enumerate(islice(run.frames(), start, stop), start=start):
         scene = logged.scene
-        state = perceive(state, scene, logged.truth.routes if by_route else None)
+        state = perceive(state, scene, logged.truth.routes if run.by_route else None)
         if frame >= first:
             yield Moment(
                 scene=scene,
@@ -181,14 +180,14 @@ def _forecasts(run: Run, table: PredictionTable, frame: int) -> dict[str, Foreca
     out: dict[str, Forecast] = {}
     for row in range(int(first), int(last)):
         vehicle = int(table.vehicle[row])
-        now = run.trajectories.xy_m[vehicle, frame]
+        until = min(int(run.trajectories.seen_until(vehicle, frame)), frame + HORIZON_FRAMES)
+        actual_xy_m, _ = run.trajectories.xy_at(vehicle, np.arange(frame, until + 1))
         modes = table.xy_m[row]
-        start = np.broadcast_to(now, (len(modes), 1, 2))
-        until = min(int(run.trajectories.seen_until[vehicle, frame]), frame + HORIZON_FRAMES)
+        start = np.broadcast_to(actual_xy_m[0], (len(modes), 1, 2))
         out[run.ids[vehicle]] = Forecast(
             mode_probability=table.mode_probability[row],
             predicted_xy_m=np.concatenate((start, modes), axis=1),
-            actual_xy_m=run.trajectories.xy_m[vehicle, frame : until + 1],
+            actual_xy_m=actual_xy_m,
         )
     return out
 

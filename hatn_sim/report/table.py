@@ -27,14 +27,20 @@ TITLES = {
     "slot_accuracy": "slot accuracy",
     "slot_macro_f1": "macro-F1",
     "slot_ece": "ECE",
+    "slot_masked_share": "masked",
     "yield_base_rate": "always yield",
     "single_slot_share": "single slot",
 }
 ERRORS = ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "goal_error")
-SLOTS = ("slot_accuracy", "slot_macro_f1", "yield_base_rate", "slot_ece", "single_slot_share")
+SLOTS = (
+    "slot_accuracy",
+    "slot_macro_f1",
+    "yield_base_rate",
+    "slot_ece",
+    "slot_masked_share",
+    "single_slot_share",
+)
 SUBSETS = {"all": "all samples", "moving": "moving samples (more than 1 m in 3 s)"}
-
-
 NONE = "-"
 
 
@@ -70,6 +76,8 @@ def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Gr
     note = f"[low high] 95 % interval, bootstrapped over {clustered_over}"
     if any(score.predictor == BASELINE for score in scores):
         note += f"; x ratio to {BASELINE.replace('_', ' ')}"
+    if any(score.predictor.endswith("+route") for score in scores):
+        note += "; +route: given the simulator's routes, an upper bound"
     parts.append(Text(note, style="dim"))
     return Group(*parts)
 

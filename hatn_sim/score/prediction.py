@@ -11,9 +11,13 @@ and 30 ahead, every 0.5 s, those without a reference line included.
 | `slot_accuracy` | share | most probable slot = slot taken, where the slot taken is known |
 | `slot_macro_f1` | share | mean F1 of yield and pass; a pass is right with the right vehicle |
 | `slot_ece` | share | expected calibration error of the most probable slot, 15 bins |
+| `slot_masked_share` | share | of graphs with a choice: nobody can say which slot was taken |
 | `yield_base_rate` | share | of the slots taken: what "always yield" would get right |
 | `single_slot_share` | share | of graphs with a conflict: one slot only, left out of the above |
 | `fallback_share` | share | of samples: a physical extrapolation stood in for the predictor |
+
+Under `--lines route` the names of predictors end in `+route`: they saw what no camera can see, so
+their scores are upper bounds (see `reported_name`).
 """
 
 from __future__ import annotations
@@ -25,15 +29,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hatn_sim.datatypes import HORIZON_FRAMES, FloatArray, IntArray, Kind, Score
+from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, IntArray, Kind, Score
 from hatn_sim.errors import InputError
 from hatn_sim.labels import MOVING_M, SAMPLE_EVERY_FRAMES, goal_m, samples, slot_label
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.score import intervals
+from hatn_sim.score.pooling import by_scene, check_pool
 
 SHORT_FRAMES = 3
 """0.3 s."""
 ECE_BINS = 15
+USES_NO_LINES = "constant_velocity"
+"""The predictor that routes cannot help."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +75,7 @@ UNITS = {
     "slot_accuracy": "share",
     "slot_macro_f1": "share",
     "slot_ece": "share",
+    "slot_masked_share": "share",
     "yield_base_rate": "share",
     "single_slot_share": "share",
     "fallback_share": "share",
@@ -97,45 +105,36 @@ def score_runs(runs: Sequence[Run]) -> list[Score]:
     `clustered_over`). What a predictor cannot have is there with value None and n = 0.
 
     Raises:
-        InputError: runs of one scene were made with different predictors, or a log is damaged.
+        InputError: runs of one scene cannot be pooled (see `check_pool`), a predictor said
+            something that is not finite, or a log is damaged.
     """
     scores: list[Score] = []
     over_runs = clustered_over(runs) == "runs"
-    for scene, of_scene in _by_scene(runs).items():
-        predictors = of_scene[0].predictors
-        for run in of_scene:
-            if set(run.predictors) != set(predictors):
-                raise InputError(
-                    f"{run.path}: expected the predictors of {of_scene[0].path} "
-                    f"({', '.join(predictors)}), found {', '.join(run.predictors)}; "
-                    "score these runs one by one"
-                )
+    for scene, of_scene in by_scene(runs).items():
+        check_pool(of_scene)
         measured = [_measure_run(run) for run in of_scene]
-        for predictor in predictors:
+        for predictor in of_scene[0].predictors:
+            name = reported_name(of_scene[0], predictor)
             adapt = measured[0][predictor].adapt
             for measure, subset in ROWS:
                 parts = [each[predictor].measures.get((measure, subset)) for each in measured]
                 value, n, bounds = _pooled(parts, over_runs=over_runs)
                 low, high = bounds or (None, None)
                 unit = UNITS[measure]
-                scores.append(
-                    Score(measure, predictor, scene, subset, adapt, value, unit, n, low, high)
-                )
+                scores.append(Score(measure, name, scene, subset, adapt, value, unit, n, low, high))
     return scores
+
+
+def reported_name(run: Run, predictor: str) -> str:
+    """A predictor's name in scores: one that was handed routes is told from one that was not."""
+    return f"{predictor}+route" if run.by_route and predictor != USES_NO_LINES else predictor
 
 
 def clustered_over(runs: Sequence[Run]) -> str:
     """What the intervals of `score_runs` are bootstrapped over: "runs" or "vehicles"."""
     # One answer for all scenes, so that a table can say it once.
-    fewest = min((len(of_scene) for of_scene in _by_scene(runs).values()), default=0)
+    fewest = min((len(of_scene) for of_scene in by_scene(runs).values()), default=0)
     return "runs" if fewest >= intervals.MIN_RUNS else "vehicles"
-
-
-def _by_scene(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    by_scene: dict[str, list[Run]] = {}
-    for run in runs:
-        by_scene.setdefault(str(run.header.get("scene", "")), []).append(run)
-    return by_scene
 
 
 def _measure_run(run: Run) -> dict[str, _OfPredictor]:
@@ -154,7 +153,8 @@ def _samples(run: Run) -> _Samples:
     vehicle, frame = vehicle[kept], frame[kept]
     ahead = frame[:, None] + np.arange(1, HORIZON_FRAMES + 1)
     goal, _ = goal_m(trajectories, vehicle, frame)
-    return _Samples(vehicle, frame, trajectories.xy_m[vehicle[:, None], ahead], goal)
+    future_xy_m, _ = trajectories.xy_at(vehicle[:, None], ahead)
+    return _Samples(vehicle, frame, future_xy_m, goal)
 
 
 def _key(vehicle: IntArray, frame: IntArray) -> IntArray:
@@ -167,8 +167,8 @@ def _measure_predictor(run: Run, predictor: str, common: _Samples) -> _OfPredict
     order = np.argsort(key)
     rows = order[np.searchsorted(key[order], _key(common.vehicle, common.frame))]
     measures = {
-        **_displacements(table, rows, common),
-        **_goals(table, rows, common),
+        **_displacements(run, table, rows, common),
+        **_goals(run, table, rows, common),
         **_slots(run, table, rows),
         ("fallback_share", "all"): _mean(table.fallback[rows], common.vehicle),
     }
@@ -177,31 +177,49 @@ def _measure_predictor(run: Run, predictor: str, common: _Samples) -> _OfPredict
 
 
 def _displacements(
-    table: PredictionTable, rows: IntArray, common: _Samples
+    run: Run, table: PredictionTable, rows: IntArray, common: _Samples
 ) -> dict[tuple[str, str], _Measured]:
     mode = table.mode_probability[rows].argmax(axis=1) if len(rows) else rows
     error_m = np.linalg.norm(table.xy_m[rows, mode] - common.future_xy_m, axis=2)
+    _check_finite(run, table, rows, error_m.sum(axis=1), "positions")
     values = {
         "ade_3s": error_m.mean(axis=1),
         "fde_3s": error_m[:, -1],
         "ade_0s3": error_m[:, :SHORT_FRAMES].mean(axis=1),
         "fde_0s3": error_m[:, SHORT_FRAMES - 1],
     }
-    return {k: v for name, of in values.items() for k, v in _subsets(name, of, common).items()}
+    every = np.ones(len(rows), dtype=np.bool_)
+    subsets = [_subsets(name, value, every, common) for name, value in values.items()]
+    return {key: measured for of_measure in subsets for key, measured in of_measure.items()}
 
 
 def _goals(
-    table: PredictionTable, rows: IntArray, common: _Samples
+    run: Run, table: PredictionTable, rows: IntArray, common: _Samples
 ) -> dict[tuple[str, str], _Measured]:
-    given = table.goal_mask[rows].any(axis=1)
+    given: BoolArray = np.asarray(table.goal_mask[rows].any(axis=1))
     mean_m = (table.goal_weight[rows] * table.goal_mean_m[rows]).sum(axis=1)
-    error_m = np.where(given, np.abs(mean_m - common.goal_m), np.nan)
-    return _subsets("goal_error", error_m, common)
+    error_m = np.where(given, np.abs(mean_m - common.goal_m), 0.0)
+    _check_finite(run, table, rows, error_m, "goals")
+    return _subsets("goal_error", error_m, given, common)
 
 
-def _subsets(measure: str, value: FloatArray, common: _Samples) -> dict[tuple[str, str], _Measured]:
-    """Means over all and over moving samples, those left out whose value is NaN."""
-    given = ~np.isnan(value)
+def _check_finite(
+    run: Run, table: PredictionTable, rows: IntArray, error_m: FloatArray, what: str
+) -> None:
+    """Samples are the same for all predictors, so nobody gets out of one by an answer of NaN."""
+    unfit = rows[~np.isfinite(error_m)]
+    if len(unfit):
+        raise InputError(
+            f"{run.path}: expected finite {what} of predictor {table.predictor!r}, found others "
+            f"for vehicle {run.ids[table.vehicle[unfit[0]]]!r} at frame {table.frame[unfit[0]]}; "
+            "mend the predictor and make the run again"
+        )
+
+
+def _subsets(
+    measure: str, value: FloatArray, given: BoolArray, common: _Samples
+) -> dict[tuple[str, str], _Measured]:
+    """Means over all and over moving samples, of those given."""
     moving = given & (common.goal_m > MOVING_M)
     return {
         (measure, "all"): _mean(value[given], common.vehicle[given]),
@@ -226,6 +244,7 @@ def _slots(run: Run, table: PredictionTable, rows: IntArray) -> dict[tuple[str, 
         table.rear_to_conflict_m[rows],
         table.conflict_xy_m[rows],
     )
+    measures["slot_masked_share", "all"] = _mean(label < 0, table.vehicle[rows])
     rows, label = rows[label >= 0], label[label >= 0]
     if not len(rows):
         return measures

@@ -44,6 +44,10 @@ def read_sumocfg(path: Path) -> dict[str, str]:
         raise InputError(
             f"{path}:{error.position[0]}: not well-formed XML: {error}; correct the file"
         ) from error
+    except (ValueError, LookupError) as error:
+        raise InputError(
+            f"{path}: the encoding that it declares cannot be read: {error}; save it as UTF-8"
+        ) from error
     options: dict[str, str] = {}
     for element in root.iter():
         value = element.get("value", element.get("v"))

@@ -1,0 +1,102 @@
+"""Predictors by name, somebody's own beside them, and one line for whatever goes wrong there."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hatn_sim import cli
+from hatn_sim.errors import InputError
+from hatn_sim.predictors.find import load_predictor
+
+MINE = """
+from hatn_sim.predictors.constant_velocity import ConstantVelocity
+
+class Mine(ConstantVelocity):
+    name = "mine"
+
+class Wants(Mine):
+    def __init__(self, what):
+        self.what = what
+
+class Raises(Mine):
+    def __init__(self):
+        raise OSError("no such\\nfile of mine")
+
+class Empty:
+    name = "empty"
+
+number = 3
+"""
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A working directory with modules of one's own, which sys.path does not name."""
+    (tmp_path / "my_predictors.py").write_text(MINE)
+    (tmp_path / "my_broken.py").write_text("def (")
+    (tmp_path / "my_division.py").write_text("1 / 0")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p not in ("", str(tmp_path))])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("my_")]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("name", ["constant_velocity", "idm"])
+def test_shipped_predictors_by_name(name: str) -> None:
+    assert load_predictor(name).name == name
+
+
+def test_a_module_in_the_working_directory_is_found() -> None:
+    assert load_predictor("my_predictors:Mine").name == "mine"
+    before = list(sys.path)
+    load_predictor("my_predictors:Mine")
+    assert sys.path == before, "the directory is put there once"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (":X", "Empty module name (ValueError)"),
+        ("..x:Y", "(TypeError)"),
+        ("my_predictors:", "(AttributeError)"),
+        ("my_predictors:Mien", "module 'my_predictors' has no attribute 'Mien' (AttributeError)"),
+        ("my_predictors:number", "'int' object is not callable (TypeError)"),
+        ("my_predictors:Wants", "missing 1 required positional argument: 'what'"),
+        ("my_predictors:Raises", "no such file of mine (OSError)"),
+        ("my_predictors:Empty", "has no 'init', see datatypes.Predictor"),
+        ("my_broken:X", "(SyntaxError)"),
+        ("my_division:X", "division by zero (ZeroDivisionError)"),
+        ("my_missing:X", "No module named 'my_missing' (ModuleNotFoundError)"),
+        ("argparse:Action", "(TypeError)"),
+    ],
+)
+def test_what_goes_wrong_is_one_line(name: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_predictor(name)
+    text = str(caught.value)
+    assert text.startswith(f"predictor {name!r}: ")
+    assert said in text
+    assert "\n" not in text
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(InputError, match=r"unknown predictor 'idn'; did you mean 'idm'\?"):
+        load_predictor("idn")
+
+
+@pytest.mark.parametrize("compare", [(), ("--compare", "my_predictors:Mine")])
+def test_weights_that_nobody_reads_are_refused(
+    here: Path, capsys: pytest.CaptureFixture[str], compare: tuple[str, ...]
+) -> None:
+    words = ["run", "tjunction", "--predictor", "idm", *compare, "--weights", "w.safetensors"]
+    assert cli.main([*words, "--out", str(here / "out")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("hatn-sim: --weights w.safetensors: idm")
+    assert "reads none; leave it out, or add --compare hatn" in said
+    assert not (here / "out").exists()
