@@ -259,7 +259,7 @@ def test_settings_are_all_there_and_no_others(
     tmp_path: Path, change: Callable[[dict[str, Any]], object]
 ) -> None:
     said = refusal(untrained(tmp_path), change)
-    assert "sgn: expected the settings width, components, class_weight, dropout, hist" in said
+    assert "sgn: expected the settings width, components, class_weight, dropout, race" in said
 
 
 def test_the_card_names_what_the_networks_read(tmp_path: Path) -> None:
@@ -329,6 +329,7 @@ def test_a_card_is_rebuilt_from_an_old_one() -> None:
         "components": 3,
         "class_weight": 2.0,
         "dropout": 0.1,
+        "race_dropout": 0.5,
         "history_stride": 2,
     }
     assert card["edn"] == {"width": 8, "dropout": 0.0}

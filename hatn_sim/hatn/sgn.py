@@ -41,6 +41,10 @@ RACE_FEATURES = (
 QUEUED = CONTEXT.index("front is a vehicle of the focus group")
 QUEUED_PENALTY = 6.0
 """Who queues behind another is not first; finite, since lines and leaders may be wrong."""
+RACE_PER_S = 1.0
+"""A prior that holds on any road: each second of earliest arrival costs this much utility. It is
+added when predicting only. In training it would be unlearned: who is far from one scene's focus is
+also told by how that scene looks, and on another scene only the time is left."""
 LABEL_SMOOTHING = 0.05
 GOAL_SCALE_M = 10.0
 MIN_GOAL_STD_M = 0.1
@@ -145,6 +149,8 @@ class SemanticGraphNetwork(nn.Module):
         utility = z.new_zeros(mask.shape)
         utility[mask] = (self.race_head(z) + self.race_skip(first))[:, 0]
         utility = utility - QUEUED_PENALTY * batch.context[..., QUEUED]
+        if not self.training:
+            utility = utility - RACE_PER_S * batch.context[..., RACE_FEATURES[0]]
         utility[:, 0] = utility[:, 0] + self.ego_bias
         return self._intention(utility, torch.cat((z, road), -1), x, batch)
 

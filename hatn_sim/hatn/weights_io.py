@@ -61,6 +61,7 @@ def features() -> dict[str, Any]:
         "history_scale": list(edn_module.HISTORY_SCALE),
         "goal_scale_m": [sgn_module.GOAL_SCALE_M, edn_module.GOAL_SCALE_M],
         "queued_penalty": sgn_module.QUEUED_PENALTY,
+        "race_per_s": sgn_module.RACE_PER_S,
         "increment_scale_m": edn_module.INCREMENT_SCALE_M,
         "max_acceleration_mps2": [edn_module.MAX_ACCELERATION_MPS2, edn_module.MAX_LATERAL_MPS2],
         "frames": [HISTORY_FRAMES, HORIZON_FRAMES],
