@@ -95,7 +95,21 @@ def test_a_yield_names_whom_to_let_go_and_when() -> None:
     assert told.text == "Yield to the silver car from the right; go after it in 2.9 s"
     assert by_ego["other"].action == "pass"
     assert by_ego["other"].slot_id == "ego"
+    # 23.5 m at 8 m/s take 2.9 s, the ego comes after 3.65 s: no need to speed up.
+    assert by_ego["other"].feasible
+    assert by_ego["other"].target_time_s == pytest.approx(16.5 / 8, abs=0.02)
+    assert by_ego["other"].advised_speed_mps == pytest.approx(8.0, abs=0.05)
     assert {ego: told.slot_id for ego, told in state.told.items()} == {"ego": "ego", "other": "ego"}
+
+
+def test_a_gap_too_short_to_clear_is_not_feasible() -> None:
+    near = {"ego": (-40.0, 0.0, 0.0, 10.0), "other": (0.0, -14.0, NORTH, 8.0)}
+    scene, prediction = moment(near, {"ego": [0.1, 0.9]})
+    meeting = encounters(scene, prediction)
+    _, found = suggest(SuggestionState(), scene, prediction, meeting, frozenset({"ego"}))
+    # 43.5 m to be out, 10.5 / 8 s until the other comes: 35 m/s2 would be needed.
+    assert (found[0].action, found[0].feasible) == ("pass", False)
+    assert found[0].text.endswith("if you can: the gap is tight")
 
 
 def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:

@@ -137,19 +137,22 @@ def _plan(
     first = np.where(others, meeting.other_enter_s[row], np.inf).argmin(axis=1)
     yields = slot == 0
     node = np.where(yields, first, slot)
-    distance = np.maximum(graphs.ego_to_conflict_m[row, node], 0.1)
+    room = np.maximum(meeting.ego_room_m[row, node], 0.1)
     speed = scene.speed_mps[graphs.ego[row]]
-    # To pass: be there before the other comes, no later than one would be there anyhow.
-    before = np.minimum(meeting.ego_enter_s[row, node], meeting.other_enter_s[row, node])
+    comes = np.maximum(meeting.other_enter_s[row, node], 0.1)
+    # To pass: be there no later than one would be anyhow, and before the other comes.
+    before = np.minimum(meeting.ego_enter_s[row, node], comes)
     target = np.where(yields, meeting.other_leave_s[row, node], before)
-    brake = required_deceleration_mps2(meeting.ego_room_m[row, node], speed, target)
-    push = 2.0 * (distance - speed * target) / np.maximum(target, 0.1) ** 2
+    brake = required_deceleration_mps2(room, speed, target)
+    # To be out of the area, as long after the conflict as its beginning is before it.
+    clear = 2.0 * graphs.ego_to_conflict_m[row, node] - meeting.ego_room_m[row, node]
+    push = 2.0 * (clear - speed * comes) / comes**2
     limit = np.maximum(speed, graphs.context[row, 0, 0])
     effort = np.where(yields, brake / COMFORT_BRAKING_MPS2, push / COMFORT_ACCELERATION_MPS2)
     return _Plan(
         other=graphs.rear[row, node],
         target_s=target,
-        advised_mps=np.minimum(distance / np.maximum(target, 0.1), limit),
+        advised_mps=np.minimum(room / np.maximum(target, 0.1), limit),
         feasible=effort <= np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND),
     )
 
