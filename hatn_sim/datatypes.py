@@ -207,6 +207,7 @@ class SemanticGraphs:
     focus_mask: BoolArray  # [E, M] node 0 and the nodes of the focus group
     history_mask: BoolArray  # [E, M, T] both boundaries were seen
     has_conflict: BoolArray  # [E] there is an active conflict
+    ego_at_red: BoolArray  # [E] a closed signal stands between the ego and its conflict
     ego_to_conflict_m: FloatArray  # [E, M] of the ego to the node's conflict, along its line
     rear_to_conflict_m: FloatArray  # [E, M] of the rear vehicle, along its line
     conflict_xy_m: FloatArray  # [E, M, 2] the conflict point on the ego's line

@@ -88,6 +88,7 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
         focus_mask=focus,
         history_mask=history,
         has_conflict=has_conflict,
+        ego_at_red=_at_red(road, seen, ego, ego_m[:, 0]),
         ego_to_conflict_m=ego_m,
         rear_to_conflict_m=rear_m,
         conflict_xy_m=np.where(node_mask[:, :, None], point_xy, 0.0),
@@ -310,3 +311,9 @@ def _queued(rear: IntArray, front: IntArray, focus: BoolArray) -> BoolArray:
     same = front[:, :, None] == others
     same[:, :, 0] = False  # the ego is no obstacle to those behind it on another line
     return np.asarray(same.any(axis=2))
+
+
+def _at_red(road: Road, seen: Perception, ego: IntArray, to_conflict_m: FloatArray) -> BoolArray:
+    """Whether a closed signal stands before the egos' conflict [E]."""
+    to_signal_m = _next_gate_m(road, seen, ())[ego] + 0.5 * seen.scene.size_m[ego, 0]
+    return np.asarray(to_signal_m <= to_conflict_m)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import traceback
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -22,7 +25,7 @@ from hatn_sim.datatypes import (
     Scene,
     Simulator,
 )
-from hatn_sim.errors import InputError
+from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.road import Road
 
@@ -55,19 +58,47 @@ def begin(adviser: Adviser, road: Road) -> AdviserState:
 def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState:
     """Take in a frame for which no advice is wanted."""
     routes = frame.truth.routes if adviser.lines == "route" else None
-    return replace(state, memory=adviser.predictor.observe(state.memory, frame.scene, routes))
+    with _named(adviser.predictor, frame.scene):
+        memory = adviser.predictor.observe(state.memory, frame.scene, routes)
+    return replace(state, memory=memory)
 
 
 def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserState, Advice]:
     """Take in a frame and give advice: prediction, suggestions, alerts."""
     state = observe(adviser, state, frame)
-    prediction = adviser.predictor.predict(state.memory)
+    with _named(adviser.predictor, frame.scene):
+        prediction = adviser.predictor.predict(state.memory)
     check_prediction(adviser.predictor.name, prediction, frame.scene)
     return advise(adviser, state, frame.scene, prediction)
 
 
+@contextmanager
+def _named(predictor: Predictor, scene: Scene) -> Generator[None, None, None]:
+    """An exception of somebody's own predictor becomes one line that says where it came from.
+
+    Those of the predictors that ship are this package's bugs: they keep their traceback.
+    """
+    try:
+        yield
+    except HatnSimError:
+        raise
+    except Exception as error:
+        if type(predictor).__module__.startswith("hatn_sim."):
+            raise
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise InputError(
+            f"predictor {predictor.name!r} failed at {scene.time_s:.1f} s: "
+            f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
+        ) from error
+
+
 def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
     """InputError where a prediction is not of this scene, not of its shape or not finite."""
+    if not isinstance(prediction, Prediction):
+        raise InputError(
+            f"predictor {name!r}: predict returned {type(prediction).__name__}, "
+            "expected hatn_sim.datatypes.Prediction"
+        )
     count, modes = len(scene.ids), prediction.mode_probability.shape[-1]
     shapes = {
         "xy_m": (prediction.xy_m, (count, modes, HORIZON_FRAMES, 2)),

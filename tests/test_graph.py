@@ -126,6 +126,8 @@ def test_a_signal_counts_only_while_it_is_closed() -> None:
             state = perceive(state, scene, None)
         graphs = build_graphs(road, state.seen)
         assert graphs.front_type[row(graphs, "e"), 0] == expected
+        assert graphs.ego_at_red[row(graphs, "e")] == closed
+        assert not graphs.ego_at_red[row(graphs, "s")]
 
 
 def test_context_has_a_name_for_every_entry() -> None:

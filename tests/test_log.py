@@ -83,6 +83,7 @@ def make_prediction(rng: np.random.Generator, frame: Frame) -> Prediction:
         focus_mask=node_mask & (rng.random((egos, NODES)) < 0.8),
         history_mask=np.ones((egos, NODES, 1), dtype=bool),
         has_conflict=node_mask.sum(axis=1) > 1,
+        ego_at_red=np.zeros(egos, dtype=np.bool_),
         ego_to_conflict_m=rng.random((egos, NODES)),
         rear_to_conflict_m=rng.random((egos, NODES)),
         conflict_xy_m=rng.normal(size=(egos, NODES, 2)) * 1e5,

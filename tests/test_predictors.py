@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from conftest import crossing_lanes, scene_of
 
 from hatn_sim import cli
+from hatn_sim.datatypes import Frame, Truth
 from hatn_sim.errors import InputError
+from hatn_sim.loop import Adviser, begin, check_prediction, tick
+from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.predictors.find import load_predictor
+from hatn_sim.road import Road
 
 MINE = """
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
@@ -100,3 +107,51 @@ def test_weights_that_nobody_reads_are_refused(
     assert said.startswith("hatn-sim: --weights w.safetensors: idm")
     assert "reads none; leave it out, or add --compare hatn" in said
     assert not (here / "out").exists()
+
+
+class _Raises:
+    name = "raises"
+
+    def init(self, road: object) -> None:
+        return None
+
+    def observe(self, state: object, scene: object, routes: object = None) -> None:
+        raise KeyError("x")
+
+    def predict(self, state: object) -> int:
+        return 3
+
+
+class _WrongType(_Raises):
+    def observe(self, state: object, scene: object, routes: object = None) -> None:
+        return None
+
+
+@pytest.mark.parametrize(
+    ("predictor", "words"),
+    [
+        (_Raises(), r"'raises' failed at 0.3 s: KeyError: 'x' \(test_predictors.py:\d+\)"),
+        (_WrongType(), "'raises': predict returned int, expected hatn_sim.datatypes.Prediction"),
+    ],
+)
+def test_a_predictor_that_fails_is_named(predictor: object, words: str) -> None:
+    adviser = Adviser(predictor)  # type: ignore[arg-type]
+    road = Road(crossing_lanes())
+    scene = scene_of(0.3, {"a": (30.0, 0.0, 0.0, 5.0)})
+    frame = Frame(scene, Truth(routes=(None,)), done=False)
+    with pytest.raises(InputError, match=words):
+        tick(adviser, begin(adviser, road), frame)
+
+
+def test_a_prediction_of_another_shape_or_not_finite_is_refused() -> None:
+    scene = scene_of(0.0, {"a": (0.0, 0.0, 0.0, 5.0), "b": (30.0, 0.0, 0.0, 5.0)})
+    good = ConstantVelocity().predict(scene)
+    check_prediction("mine", good, scene)
+    short = replace(good, xy_m=good.xy_m[:, :, :20])
+    with pytest.raises(InputError, match=r"xy_m has shape \(2, 1, 20, 2\), expected"):
+        check_prediction("mine", short, scene)
+    holes = replace(good, xy_m=np.where(np.arange(2)[:, None, None, None] == 1, np.nan, good.xy_m))
+    with pytest.raises(InputError, match="the prediction for 'b' is not finite"):
+        check_prediction("mine", holes, scene)
+    with pytest.raises(InputError, match="ids are not those of the scene"):
+        check_prediction("mine", replace(good, ids=("b", "a")), scene)

@@ -258,6 +258,7 @@ def slots(
             focus_mask=mask,
             history_mask=mask[..., None],
             has_conflict=np.array([True] * 6 + [single == 1]),
+            ego_at_red=np.zeros(7, dtype=np.bool_),
             ego_to_conflict_m=np.repeat(to_conflict_m[:, :1], 3, axis=1),
             rear_to_conflict_m=to_conflict_m,
             conflict_xy_m=conflict,

@@ -58,7 +58,8 @@ def suggest(
     """Suggestions of this moment for `egos` (None: all) with at least two slots to choose from."""
     graphs, chances = prediction.graphs, prediction.slot_probability
     assert graphs is not None and chances is not None
-    choice = graphs.has_conflict & (graphs.focus_mask.sum(axis=1) > 1)
+    # At a red light there is nothing to choose.
+    choice = graphs.has_conflict & (graphs.focus_mask.sum(axis=1) > 1) & ~graphs.ego_at_red
     rows = [
         e
         for e in np.flatnonzero(choice).tolist()

@@ -51,7 +51,7 @@ class Progress:
         if self._quiet or (now - self._shown < 0.2 and done < self._total):
             return
         times = done * self._dt_s / max(now - self._started, 1e-3)
-        rate = f"{vehicles} vehicles, {times:.1f}x real time"
+        rate = f"{vehicles} vehicles now, {times:.1f}x real time"
         if self._bar is not None:
             self._shown = now
             self._bar.update(self._task, completed=done, rate=rate)

@@ -189,6 +189,7 @@ def _simulate(
 
 def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: float) -> int:
     from hatn_sim.commands.console import make_console
+    from hatn_sim.datatypes import Kind
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json, write_scores
     from hatn_sim.score.prediction import clustered_over, score_run
@@ -200,14 +201,17 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     taken_s = done.seconds + time.monotonic() - scoring
     pictures = [] if arguments.no_picture else _draw(logged, out, arguments.quiet)
     never = [name for name in arguments.egos or () if name not in logged.ids]
-    if never and not arguments.quiet:
+    if never:
         print(f"hatn-sim: never seen in this run: --egos {','.join(never)}", file=sys.stderr)
     if arguments.json:
         print(scores_json([*scores, *_rates(logged, done.frames, taken_s)]))
         return 0
     make_console().print(score_table(scores, clustered_over([logged])))
+    walking = int((logged.kinds == Kind.PEDESTRIAN).sum())
+    seen = f"{len(logged.ids) - walking} vehicles"
+    seen += f" and {walking} pedestrians" if walking else ""
     print(
-        f"{done.frames} steps of {STEP_S:g} s, {len(logged.ids)} vehicles, in {taken_s:.1f} s, "
+        f"{done.frames} steps of {STEP_S:g} s, {seen}, in {taken_s:.1f} s, "
         f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
         f"{STEP_S * done.frames / taken_s:.1f} times real time"
     )

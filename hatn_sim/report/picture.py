@@ -50,7 +50,8 @@ def caption(run: Run, moment: Moment) -> str:
         i = scene.ids.index(moment.ego_id)
         kind = Kind(int(scene.kind[i])).name.lower()
         words.append(f"ego: {kind} {moment.ego_id} at {scene.speed_mps[i]:.1f} m/s")
-    words.append(f"predictor: {run.predictors[0]}")
+    name = run.predictors[0] + (", lines from the simulator's routes" if run.by_route else "")
+    words.append(f"predictor: {name}")
     return "  ·  ".join(words)
 
 
