@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 from conftest import crossing_lanes, lane
 from hypothesis import given
 from hypothesis import strategies as st
@@ -112,8 +113,7 @@ def test_frenet_and_back(s: float, d: float, angle: float, shift: tuple[float, f
         np.testing.assert_allclose([tracked_s[0], tracked_d[0]], [s, d], atol=0.15)
 
 
-def test_projection_agrees_with_shapely_if_it_is_there(crossing: Road) -> None:
-    shapely = pytest.importorskip("shapely")
+def test_projection_agrees_with_shapely(crossing: Road) -> None:
     index = crossing.line(WEST_NORTH)
     curve = shapely.LineString(crossing.xy_m[index, : crossing.count[index]])
     random = np.random.default_rng(3)

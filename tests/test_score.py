@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from sklearn.metrics import f1_score
 
 from hatn_sim.datatypes import (
     HORIZON_FRAMES,
@@ -333,7 +334,6 @@ def test_always_wrong_scores_zero(tmp_path: Path) -> None:
 
 def test_f1_agrees_with_one_against_the_rest() -> None:
     """With one vehicle to pass before, the measure is the ordinary macro-F1 of two classes."""
-    sklearn = pytest.importorskip("sklearn.metrics")
     rng = np.random.default_rng(3)
     label, answer = rng.integers(0, 2, 500), rng.integers(0, 2, 500)
     right = label == answer
@@ -341,7 +341,7 @@ def test_f1_agrees_with_one_against_the_rest() -> None:
     columns += [right & (label == 1), label == 1, answer == 1]
     sums = np.column_stack(columns).astype(float).sum(axis=0)
     assert float(intervals.macro_f1(sums)) == pytest.approx(
-        sklearn.f1_score(label, answer, average="macro")
+        f1_score(label, answer, average="macro")
     )
 
 
