@@ -1,11 +1,13 @@
-"""A scene's settings: `scenario.toml`, or a user's own `.sumocfg`, read into one frozen object."""
+"""A scene's settings: a `scenario.toml`, a user's own `.sumocfg` or recorded tracks, read into one
+frozen object."""
 
 from __future__ import annotations
 
+import glob
 import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,24 @@ from hatn_sim.simulators.sumo_config import check_sumocfg
 
 DEFAULT_DENSITY = "normal"
 DEFAULT_RISK = "courteous"
-SIMULATORS = ("sumo",)
+SIMULATORS = ("sumo", "highway", "recorded")
+
+
+@dataclass(frozen=True)
+class HighwaySource:
+    """An environment of highway-env."""
+
+    environment: str  # its id, "intersection-v2"
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])  # of its configuration
+
+
+@dataclass(frozen=True)
+class RecordedSource:
+    """Recorded tracks and the map that they were driven on."""
+
+    tracks: tuple[Path, ...]  # files, or the folder of a run
+    map_path: Path | None  # None: the tracks bring their own (the folder of a run)
+    recordings: tuple[str, ...] = ()  # those wanted of the files' recordings; empty: all
 
 
 @dataclass(frozen=True)
@@ -23,7 +42,7 @@ class Scenario:
     """A scene with its density and risk profile chosen."""
 
     name: str
-    config_path: Path  # the .sumocfg
+    config_path: Path  # the .sumocfg; of other simulators: the file that says what to run
     title: str = ""
     description: str = ""
     simulator: str = "sumo"
@@ -35,7 +54,9 @@ class Scenario:
     densities: tuple[str, ...] = ()
     risks: tuple[str, ...] = ()
     card: Mapping[str, Any] = field(default_factory=dict[str, Any])  # measured figures, free-form
-    is_user_config: bool = False  # a .sumocfg without a scenario.toml
+    is_user_config: bool = False  # a .sumocfg or tracks without a scenario.toml
+    highway: HighwaySource | None = None  # with the simulator "highway"
+    recorded: RecordedSource | None = None  # with the simulator "recorded"
 
 
 def load_scenario(
@@ -52,54 +73,154 @@ def load_scenario(
     shipped = find_scenarios()
     if name_or_path in shipped:
         return _load_toml(shipped[name_or_path], density, risk)
+    if (path / "run.json").is_file():
+        _refuse_traffic(name_or_path, density, risk)
+        return load_tracks((name_or_path,), None)
     if path.is_dir():
         path = path / "scenario.toml"
     if path.suffix == ".toml":
         return _load_toml(path, density, risk)
     if path.exists():
-        raise InputError(f"{path}: expected the name of a scene, a scenario.toml or a .sumocfg")
+        raise InputError(
+            f"{path}: expected the name of a scene, a scenario.toml, a .sumocfg or the folder of "
+            "a run; recorded tracks are given with --tracks"
+        )
     raise InputError(f"unknown scene {name_or_path!r}{nearest(name_or_path, shipped)}")
 
 
-def _load_sumocfg(path: Path, density: str | None, risk: str | None) -> Scenario:
+def load_tracks(
+    patterns: Sequence[str], map_path: Path | None, recordings: Sequence[str] = ()
+) -> Scenario:
+    """A scene of recorded tracks: files, patterns (`*`) of files, or the folder of a run.
+
+    Raises InputError where nothing is there, or where a map is missing or one too many.
+    """
+    paths = tuple(dict.fromkeys(path for pattern in patterns for path in _matches(pattern)))
+    if not paths:
+        raise InputError("no tracks are named; give files, a pattern or the folder of a run")
+    first = paths[0]
+    is_run = any((path / "run.json").is_file() for path in paths)
+    if is_run and len(paths) > 1:
+        raise InputError(f"{first}: one run at a time can be replayed, found {len(paths)}")
+    if is_run and map_path is not None:
+        raise InputError(f"{first}: a run brings its own lanes; leave --map {map_path} out")
+    if not is_run and map_path is None:
+        raise InputError(
+            f"{first}: recorded tracks need the map they were driven on: add --map FILE "
+            "(Lanelet2 .osm for INTERACTION tracks, .net.xml for SUMO's FCD)"
+        )
+    if map_path is not None and not map_path.is_file():
+        raise InputError(f"{map_path}: there is no such map; correct --map")
+    name = first.name.partition(".")[0] if len(paths) == 1 else first.resolve().parent.name
+    return Scenario(
+        name=name,
+        config_path=first,
+        title=f"recorded tracks, {name}",
+        simulator="recorded",
+        is_user_config=True,
+        recorded=RecordedSource(paths, map_path, tuple(recordings)),
+    )
+
+
+def _matches(pattern: str) -> list[Path]:
+    """The files of a pattern, in order of their names."""
+    if Path(pattern).exists():
+        return [Path(pattern)]
+    found = [Path(name) for name in sorted(glob.glob(pattern))]  # noqa: PTH207 - may be absolute
+    if not found:
+        raise InputError(f"{pattern}: there are no such tracks; correct the path or the pattern")
+    return found
+
+
+def _refuse_traffic(where: object, density: str | None, risk: str | None) -> None:
     for option, value in (("density", density), ("risk", risk)):
         if value is not None:
             raise InputError(
-                f"{path}: --{option} {value} is for scenes with a scenario.toml; "
-                "a .sumocfg has its own demand and drivers: leave the option out"
+                f"{where}: --{option} {value} is for scenes with a scenario.toml; "
+                "this traffic has its own demand and drivers: leave the option out"
             )
+
+
+def _load_sumocfg(path: Path, density: str | None, risk: str | None) -> Scenario:
+    _refuse_traffic(path, density, risk)
     check_sumocfg(path)
     return Scenario(name=path.stem, config_path=path, title=path.stem, is_user_config=True)
 
 
 def _load_toml(path: Path, density: str | None, risk: str | None) -> Scenario:
     table = _Table(path, "", _read_toml(path))
-    table.allow("name", "title", "description", "simulator", "config", "density", "risk", "card")
     simulator = table.choice("simulator", SIMULATORS)
+    own = {"sumo": ("config", "density", "risk"), "highway": ("highway", "density")}
+    allowed = own.get(simulator, (simulator,))
+    table.allow("name", "title", "description", "simulator", "card", *allowed)
+    scenario = Scenario(
+        name=table.text("name"),
+        config_path=path,
+        title=table.text("title"),
+        description=table.text("description"),
+        simulator=simulator,
+        card=table.sub("card").values,
+    )
+    if simulator == "recorded":
+        _refuse_traffic(path, density, risk)
+        return replace(scenario, recorded=_recorded(table.sub("recorded")))
+    scales = {key: float(table.sub("density").number(key)) for key in table.keys_of("density")}
+    density = _chosen(path, "density", density, DEFAULT_DENSITY, tuple(scales))
+    scenario = replace(
+        scenario,
+        density=density,
+        scale=None if density is None else scales[density],
+        densities=tuple(scales),
+    )
+    if simulator == "highway":
+        _refuse_traffic(path, None, risk)
+        source = table.sub("highway")
+        source.allow("environment", "settings")
+        highway = HighwaySource(source.text("environment"), source.sub("settings").values)
+        return replace(scenario, highway=highway)
     config_path = path.parent / table.text("config")
     check_sumocfg(config_path)
-    scales = {key: float(table.sub("density").number(key)) for key in table.keys_of("density")}
     drivers = {key: path.parent / table.sub("risk").text(key) for key in table.keys_of("risk")}
-    density = _chosen(path, "density", density, DEFAULT_DENSITY, tuple(scales))
     risk = _chosen(path, "risk", risk, DEFAULT_RISK, tuple(drivers))
     driver_path = None if risk is None else drivers[risk]
     if driver_path is not None and not driver_path.is_file():
         raise InputError(f"{path}: risk.{risk}: no file {driver_path}; correct the name")
-    return Scenario(
-        name=table.text("name"),
+    return replace(
+        scenario,
         config_path=config_path,
-        title=table.text("title"),
-        description=table.text("description"),
-        simulator=simulator,
-        density=density,
         risk=risk,
-        scale=None if density is None else scales[density],
         driver_path=driver_path,
         driver_paths=tuple(drivers.values()),
-        densities=tuple(scales),
         risks=tuple(drivers),
-        card=table.sub("card").values,
     )
+
+
+def _recorded(table: _Table) -> RecordedSource:
+    table.allow("tracks", "map", "recordings")
+    folder = table.path.parent
+    map_path = folder / table.text("map")
+    if not map_path.is_file():
+        raise InputError(f"{table.path}: recorded.map: there is no file {map_path}; correct it")
+    recordings = table.text("recordings") if "recordings" in table.values else ""
+    return RecordedSource(
+        tracks=tuple(_matches(str(folder / table.text("tracks")))),
+        map_path=map_path,
+        recordings=recording_names(recordings),
+    )
+
+
+def recording_names(text: str) -> tuple[str, ...]:
+    """Names of recordings as `000-004,017`, every one spelled out; an empty text: none."""
+    names: list[str] = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        first, dash, last = part.partition("-")
+        if not dash:
+            names.append(part)
+        elif first.isdigit() and last.isdigit() and int(first) <= int(last):
+            names += [f"{k:0{len(first)}d}" for k in range(int(first), int(last) + 1)]
+        else:
+            raise InputError(f"recordings: expected names like 000-004,017, found {part!r}")
+    return tuple(dict.fromkeys(names))
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

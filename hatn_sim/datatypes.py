@@ -11,7 +11,7 @@ there is told by a mask or an index of -1, never by a sentinel value.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Protocol
@@ -297,7 +297,13 @@ class Score:
 
 
 class Simulator(Protocol):
-    """Where frames come from."""
+    """Where frames come from. `notices` are lines for the user on what was made of the scene."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def notices(self) -> Sequence[str]: ...
 
     @property
     def road(self) -> Road: ...
@@ -310,6 +316,21 @@ class Simulator(Protocol):
     def step(self, commands: Sequence[Command] = ()) -> Frame: ...
 
     def close(self) -> None: ...
+
+
+class Recording(Protocol):
+    """Traffic that has happened, at 10 Hz; `frames` begins anew at every call and is streamed."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def notices(self) -> Sequence[str]: ...
+
+    @property
+    def lanes(self) -> Sequence[Lane]: ...
+
+    def frames(self) -> Iterator[Frame]: ...
 
 
 class Predictor(Protocol):

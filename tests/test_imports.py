@@ -20,7 +20,7 @@ ONLY_IN = {
     "sumolib": (),
     "highway_env": ("simulators.highway",),
     "gymnasium": ("envs", "simulators.highway"),
-    "pyarrow": ("log",),
+    "pyarrow": ("log", "recordings"),
     "matplotlib": ("report",),
     "rich": ("report", "commands"),
 }
@@ -31,7 +31,7 @@ LAYERS = (
     ("config", "conflicts", "road", "simulators"),
     ("graph", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
-    ("learn", "log", "loop", "report", "score"),
+    ("learn", "log", "loop", "recordings", "report", "score", "traffic"),
     ("bench", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""

@@ -53,6 +53,10 @@ class SumoSimulator:
         """Wall clock that SUMO itself took for the last step, reading and the pipe excepted."""
 
     @property
+    def name(self) -> str:
+        return self.scenario.name
+
+    @property
     def dt_s(self) -> float:
         return DT_S
 

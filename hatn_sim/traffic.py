@@ -1,0 +1,25 @@
+"""A scene's settings -> the simulator that yields its frames. The one way in."""
+
+from __future__ import annotations
+
+from hatn_sim.config import Scenario
+from hatn_sim.datatypes import Simulator
+
+
+def open_traffic(scenario: Scenario) -> Simulator:
+    """The simulator of a scene, not yet reset; to be closed after use.
+
+    Raises InputError where the scene's files are at fault, or where what it needs is missing.
+    """
+    if scenario.highway is not None:
+        from hatn_sim.simulators.highway import HighwaySimulator
+
+        return HighwaySimulator(scenario)
+    if scenario.recorded is not None:
+        from hatn_sim.recordings.find import open_recording
+        from hatn_sim.simulators.recorded import RecordedSimulator
+
+        return RecordedSimulator(open_recording(scenario.name, scenario.recorded))
+    from hatn_sim.simulators.sumo import SumoSimulator
+
+    return SumoSimulator(scenario)
