@@ -338,8 +338,9 @@ def _vehicle_context(road: Road, seen: Perception, gates: _Gates) -> _VehicleCon
     if len(road.count):
         index = ((lines.s_m[:, None] + np.array(AHEAD_AT_M)) / LINE_STEP_M).astype(np.int64)
         index = np.clip(index, 0, road.count[safe][:, None] - 1)
-        profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[safe[:, None], index]
-        profile[:, len(AHEAD_AT_M) : -1] = road.curvature_per_m[safe[:, None], index]
+        index += road.offset[safe][:, None]
+        profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[index]
+        profile[:, len(AHEAD_AT_M) : -1] = road.curvature_per_m[index]
         allowed = allowed_speed_mps(road, safe, lines.s_m)
         profile[:, -1] = free_travel_m(allowed, seen.own.speed_mps[:, -1])
     half_m = 0.5 * scene.size_m[:, 0]

@@ -9,7 +9,7 @@ from conftest import crossing_lanes, lane
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hatn_sim.datatypes import ConflictType, Kind
+from hatn_sim.datatypes import ConflictType, FloatArray, Kind
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
 from hatn_sim.road import LINE_STEP_M, Road
 
@@ -100,11 +100,16 @@ def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None
     np.testing.assert_array_equal(found.exit_s_m[2], alone.exit_s_m)
 
 
+def vertices(road: Road, line: int) -> FloatArray:
+    """[P, 2]"""
+    return road.xy_m[road.offset[line] : road.offset[line] + road.count[line]].copy()
+
+
 def test_lines_not_in_use_are_let_go_and_their_numbers_used_again(crossing: Road) -> None:
     kept, gone = crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH)
     pair = np.array([kept]), np.array([gone])
     before = crossing.conflict_table.of_pairs(*pair).point_s_m
-    xy_m, count = crossing.xy_m[kept].copy(), len(crossing.conflict_table)
+    xy_m, count = vertices(crossing, kept), len(crossing.conflict_table)
     for _ in range(4):
         crossing.touch(np.array([[kept, -1]]))
     crossing.release(idle_frames=4)
@@ -117,12 +122,10 @@ def test_lines_not_in_use_are_let_go_and_their_numbers_used_again(crossing: Road
     assert other == gone and crossing.lines[gone].route == WEST_EAST
     fresh = Road(crossing.lanes.values())
     alone = fresh.line(WEST_EAST)
-    length = int(fresh.count[alone])
-    np.testing.assert_array_equal(crossing.xy_m[other, :length], fresh.xy_m[alone, :length])
-    assert crossing.count[other] == length
+    np.testing.assert_array_equal(vertices(crossing, other), vertices(fresh, alone))
     for name in ("gate_s_m", "fork_s_m", "fork_turn"):
         np.testing.assert_array_equal(getattr(crossing, name)[other], getattr(fresh, name)[alone])
-    np.testing.assert_array_equal(crossing.xy_m[kept], xy_m)
+    np.testing.assert_array_equal(vertices(crossing, kept), xy_m)
     again = crossing.line(SOUTH_NORTH)
     assert again not in (kept, other)
     found = crossing.conflict_table.of_pairs(np.array([kept]), np.array([again]))
@@ -153,7 +156,7 @@ def test_frenet_and_back(s: float, d: float, angle: float, shift: tuple[float, f
 
 def test_projection_agrees_with_shapely(crossing: Road) -> None:
     index = crossing.line(WEST_NORTH)
-    curve = shapely.LineString(crossing.xy_m[index, : crossing.count[index]])
+    curve = shapely.LineString(vertices(crossing, index))
     random = np.random.default_rng(3)
     xy = np.column_stack((random.uniform(-60, 4, 200), random.uniform(-4, 60, 200)))
     line = np.full(200, index)
@@ -194,5 +197,6 @@ def test_gates_and_forks_lie_where_the_lanes_end(crossing: Road) -> None:
 def test_curvature_is_that_of_the_arc(crossing: Road) -> None:
     index = crossing.line(WEST_NORTH)
     middle = int((100.0 + 2.0 * np.pi) / LINE_STEP_M)
-    np.testing.assert_allclose(crossing.curvature_per_m[index, middle], 1.0 / 8.0, rtol=0.03)
-    assert abs(crossing.curvature_per_m[index, 100]) < 1e-9
+    middle += crossing.offset[index]
+    np.testing.assert_allclose(crossing.curvature_per_m[middle], 1.0 / 8.0, rtol=0.03)
+    assert abs(crossing.curvature_per_m[crossing.offset[index] + 100]) < 1e-9
