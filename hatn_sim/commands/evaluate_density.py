@@ -153,18 +153,16 @@ def _frames(
 
 
 def _write_histograms(path: Path, densities: Mapping[str, Density]) -> None:
-    import numpy as np
-
-    from hatn_sim.score.density import counts_of, criteria_of
+    from hatn_sim.score.density import counts_of, criteria_of, histogram
 
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("scene", "criterion", "interacting_vehicles", "samples", "share"))
         for label, density in densities.items():
             for criterion in criteria_of(density):
-                samples = np.bincount(counts_of(density, criterion)).tolist()
-                for number, n in enumerate(samples):
-                    writer.writerow((label, criterion, number, n, f"{n / sum(samples):.6f}"))
+                numbers, samples = histogram(counts_of(density, criterion))
+                for number, n in zip(numbers.tolist(), samples.tolist(), strict=True):
+                    writer.writerow((label, criterion, number, n, f"{n / samples.sum():.6f}"))
 
 
 def _print(densities: Mapping[str, Density]) -> None:

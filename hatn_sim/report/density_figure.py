@@ -9,15 +9,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from hatn_sim.datatypes import FloatArray, IntArray
 from hatn_sim.report.canvas import INK, SOFT_INK
-from hatn_sim.score.density import CRITERIA, Density, counts_of, summarise
+from hatn_sim.score.density import CRITERIA, Density, counts_of, histogram, summarise
 
 TITLES: Final = {
     "all": "(a) all vehicles in the scene",
@@ -30,6 +28,9 @@ COLOURS: Final = {"all": "#8a8f98", "30m": "#56b4e9", "10m": "#0072b2", "conflic
 MAX_BARS: Final = 40
 WIDTH_IN: Final = 11.0
 ROW_IN: Final = 1.75
+LABEL_PT: Final = 58.0
+"""From the axis to the name of the scene."""
+MAX_LABEL: Final = 22
 EDGES_IN: Final = 1.15
 """Title and axis labels, above and below the rows."""
 
@@ -50,7 +51,19 @@ def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> Non
         for axes, criterion in zip(row, CRITERIA, strict=True):
             last = int(counts["all"].max(initial=0)) if criterion == "all" else shared
             _panel(axes, density, criterion, last)
-        row[0].set_ylabel(f"{label}\n\nshare of samples", color=INK)
+        row[0].set_ylabel("share of samples", color=INK)
+        row[0].annotate(
+            label if len(label) <= MAX_LABEL else f"…{label[1 - MAX_LABEL :]}",
+            (0.0, 0.5),
+            (-LABEL_PT, 0.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            rotation=90,
+            ha="center",
+            va="center",
+            weight="bold",
+            color=INK,
+        )
     for axes, criterion in zip(grid[0], CRITERIA, strict=True):
         axes.set_title(TITLES[criterion], loc="left", fontsize=10.5, color=INK)
     for axes in grid[-1]:
@@ -71,7 +84,7 @@ def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> Non
 def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
     """The histogram of one criterion, with bars for 0 to `last` vehicles."""
     count = counts_of(density, criterion)
-    width = _bar_width(last)
+    width = bar_width(last)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     axes.tick_params(colors=SOFT_INK, labelsize=8.5)
@@ -80,8 +93,9 @@ def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.set_xlim(-0.75, max(last, 1) // width * width + width - 0.25)
     if len(count):
-        left, share = _histogram(count, width)
-        axes.bar(left - 0.5, share, 0.86 * width, align="edge", color=COLOURS[criterion])
+        first, samples = histogram(count, width)
+        share = samples / len(count)
+        axes.bar(first - 0.5, share, 0.86 * width, align="edge", color=COLOURS[criterion])
         axes.set_ylim(0.0, 1.3 * float(share.max()))
     axes.text(
         0.98,
@@ -95,16 +109,10 @@ def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
     )
 
 
-def _bar_width(last: int) -> int:
+def bar_width(last: int) -> int:
     """Counts that one bar stands for: 1, 2, 5, 10 ..., so that there are at most `MAX_BARS`."""
     widths = (step * 10**power for power in range(9) for step in (1, 2, 5))
     return next(width for width in widths if last // width < MAX_BARS)
-
-
-def _histogram(count: IntArray, width: int) -> tuple[IntArray, FloatArray]:
-    """First count and share of samples of every bar."""
-    samples = np.bincount(count // width)
-    return np.arange(len(samples)) * width, samples / len(count)
 
 
 def _caption(density: Density, criterion: str, width: int) -> str:

@@ -152,6 +152,12 @@ def counts_of(density: Density, criterion: str) -> IntArray:
     return column[density.has_line] if criterion == "conflict" else column
 
 
+def histogram(count: IntArray, width: int = 1) -> tuple[IntArray, IntArray]:
+    """The first count of every bin of `width` counts, from 0 on, and the samples in it."""
+    samples = np.bincount(count // width)
+    return np.arange(len(samples)) * width, samples
+
+
 def criteria_of(density: Density) -> tuple[str, ...]:
     """The criteria to report: `CAPPED` only where the cap makes a difference."""
     over = counts_of(density, "conflict") > MAX_OTHERS
