@@ -339,6 +339,36 @@ def test_a_shipped_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert str(tmp_path / "density.png") in printed_table.replace("\n", "")
 
 
+class Recorded:
+    """A recording of the crossing's traffic, in frames of which the last says so."""
+
+    name, notices, lanes = "crossing", ("three arms only",), crossing_lanes()
+
+    def frames(self) -> Iterator[Frame]:
+        *before, last = frames_of(CROSSING, 16)
+        yield from before
+        yield replace(last, done=True)
+
+
+def test_recorded_tracks_are_played_once_and_to_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = ModuleType("hatn_sim.recordings.find")
+    module.open_recording = lambda name, source: Recorded()  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    tracks, lanes = tmp_path / "tracks.csv", tmp_path / "map.osm"
+    tracks.touch()
+    lanes.touch()
+    words = ("--table", "density", "--tracks", tracks, "--map", lanes, "--out", tmp_path / "out")
+    assert evaluate(*words, "--seeds", "1-9", "--json") == 0
+    printed = capsys.readouterr()
+    assert printed.err.splitlines()[0] == "hatn-sim: tracks: three arms only"
+    scores = {score["measure"]: score for score in json.loads(printed.out)}
+    # Frames 0, 5, 10 and 15 of six vehicles; one of them is on no line.
+    assert (scores["density_all"]["n"], scores["density_conflict"]["n"]) == (24, 20)
+    assert scores["density_all"]["value"] == 5.0
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [

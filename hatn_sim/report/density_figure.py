@@ -62,6 +62,7 @@ def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> Non
             ha="center",
             va="center",
             weight="bold",
+            fontsize=9.0,
             color=INK,
         )
     for axes, criterion in zip(grid[0], CRITERIA, strict=True):
@@ -96,7 +97,7 @@ def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
         first, samples = histogram(count, width)
         share = samples / len(count)
         axes.bar(first - 0.5, share, 0.86 * width, align="edge", color=COLOURS[criterion])
-        axes.set_ylim(0.0, 1.3 * float(share.max()))
+        axes.set_ylim(0.0, 1.35 * float(share.max()))
     axes.text(
         0.98,
         0.97,
@@ -119,5 +120,10 @@ def _caption(density: Density, criterion: str, width: int) -> str:
     summary = summarise(density, criterion)
     if summary.mean is None:
         return "no samples"
-    text = f"mean {summary.mean:.1f}, 90 % ≤ {summary.ninetieth:g}\nn = {summary.n:,}"
-    return text if width == 1 else f"{text}\n{width} a bar"
+    lines = [f"mean {summary.mean:.1f}, 90 % ≤ {summary.ninetieth:g}"]
+    # The same in every panel, but for vehicles without a reference line.
+    if criterion == "all" or summary.n != len(density.run):
+        lines.append(f"n = {summary.n:,}")
+    if width > 1:
+        lines.append(f"{width} counts a bar")
+    return "\n".join(lines)
