@@ -27,7 +27,7 @@ COLOURS: Final = {"all": "#8a8f98", "30m": "#56b4e9", "10m": "#0072b2", "conflic
 """Grey and three of Okabe and Ito's colours, told apart by the colour-blind and in grey."""
 MAX_BARS: Final = 40
 WIDTH_IN: Final = 11.0
-ROW_IN: Final = 1.75
+ROW_IN: Final = 1.95
 LABEL_PT: Final = 58.0
 """From the axis to the name of the scene."""
 MAX_LABEL: Final = 22
@@ -62,9 +62,10 @@ def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> Non
             ha="center",
             va="center",
             weight="bold",
-            fontsize=9.0,
+            fontsize=8.5,
             color=INK,
         )
+    figure.align_ylabels(grid[:, 0])
     for axes, criterion in zip(grid[0], CRITERIA, strict=True):
         axes.set_title(TITLES[criterion], loc="left", fontsize=10.5, color=INK)
     for axes in grid[-1]:
@@ -91,13 +92,14 @@ def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
     axes.tick_params(colors=SOFT_INK, labelsize=8.5)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.set_xlim(-0.75, max(last, 1) // width * width + width - 0.25)
     if len(count):
         first, samples = histogram(count, width)
         share = samples / len(count)
         axes.bar(first - 0.5, share, 0.86 * width, align="edge", color=COLOURS[criterion])
-        axes.set_ylim(0.0, 1.35 * float(share.max()))
+        top = 1.45 * float(share.max())  # leaves room for the caption
+        axes.set_yticks([at for at in MaxNLocator(4).tick_values(0.0, top) if at <= min(top, 1.0)])
+        axes.set_ylim(0.0, top)
     axes.text(
         0.98,
         0.97,
@@ -120,10 +122,10 @@ def _caption(density: Density, criterion: str, width: int) -> str:
     summary = summarise(density, criterion)
     if summary.mean is None:
         return "no samples"
-    lines = [f"mean {summary.mean:.1f}, 90 % ≤ {summary.ninetieth:g}"]
+    notes: list[str] = []
     # The same in every panel, but for vehicles without a reference line.
     if criterion == "all" or summary.n != len(density.run):
-        lines.append(f"n = {summary.n:,}")
+        notes.append(f"n = {summary.n:,}")
     if width > 1:
-        lines.append(f"{width} counts a bar")
-    return "\n".join(lines)
+        notes.append(f"{width} counts a bar")
+    return f"mean {summary.mean:.1f}, 90 % ≤ {summary.ninetieth:g}\n{', '.join(notes)}"
