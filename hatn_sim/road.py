@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial import KDTree
 
-from hatn_sim.conflicts import find_conflicts
+from hatn_sim.conflict_table import ConflictTable
+from hatn_sim.conflicts import CONFLICT_WIDTH_M, find_conflicts
 from hatn_sim.datatypes import (
     BoolArray,
     Conflict,
@@ -37,18 +38,19 @@ AHEAD_M: Final = 150.0
 BEHIND_M: Final = 60.0
 """How much of a line is kept behind a vehicle: more than three seconds of history."""
 MAX_BRANCHES: Final = 16
-MAX_CONFLICTS: Final = 6
 MAX_FORKS: Final = 24
 NEAR_M: Final = 3.5
 NEAR_RAD: Final = np.deg2rad(60.0)
-_KEY: Final = 1 << 31
-"""A pair of lines (i, j) has the key i * _KEY + j."""
+COARSE: Final = 8
+"""Vertices apart for a first look along a line."""
 
 
 class Road:
     """The lane graph of a place, and the reference lines and conflicts drawn from it so far.
 
-    Per-line arrays are padded to the longest line; row i belongs to `lines[i]`:
+    Lines are drawn as vehicles need them. Whoever runs for long lets go of those not touched for a
+    while with `release`; their numbers are given to new lines then. Per-line arrays are padded to
+    the longest line; row i belongs to `lines[i]`:
 
     | array | shape | content |
     |---|---|---|
@@ -77,11 +79,10 @@ class Road:
         self.fork_s_m: FloatArray = np.zeros((0, MAX_FORKS))
         self.fork_end_s_m: FloatArray = np.zeros((0, MAX_FORKS))
         self.fork_turn: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
-        # Conflicts of the pairs met so far: sorted keys, the row of each, and the rows.
-        self._pair_keys: IntArray = np.zeros(0, dtype=np.int64)
-        self._pair_rows: IntArray = np.zeros(0, dtype=np.int64)
-        self._pairs: FloatArray = np.zeros((64, MAX_CONFLICTS, 7))
-        self._pair_count = 0
+        self.conflict_table = ConflictTable(self.conflicts, self._may_meet)
+        self._clock = 0
+        self._touched: IntArray = np.zeros(0, dtype=np.int64)  # [L] when a line was last in use
+        self._free: list[int] = []  # numbers of lines that were released
         self.shared: dict[str, Any] = {}  # what perception keeps for all predictors of this road
 
     # -- lanes --------------------------------------------------------------------------------
@@ -194,10 +195,15 @@ class Road:
         lengths = np.array([_length_m(lane) for lane in lanes])
         start_s_m = np.concatenate(([0.0], np.cumsum(lengths)[:-1]))
         xy_m = resample(np.concatenate([lane.xy_m for lane in lanes]), LINE_STEP_M)
-        index = len(self.lines)
-        successors = lanes[-1].successors
-        self.lines.append(ReferenceLine(index, route, xy_m, start_s_m, closed_end=not successors))
+        index = self._free.pop() if self._free else len(self.lines)
+        closed_end = not lanes[-1].successors
+        line = ReferenceLine(index, route, xy_m, start_s_m, closed_end)
+        if index == len(self.lines):
+            self.lines.append(line)
+        else:
+            self.lines[index] = line
         self._grow(index + 1, len(xy_m))
+        self._touched[index] = self._clock
         count = len(xy_m)
         yaw_rad = tangent_rad(xy_m)
         at_m = np.arange(count) * LINE_STEP_M
@@ -211,12 +217,15 @@ class Road:
         self.speed_limit_mps[index, :count] = limits
         self.speed_limit_mps[index, count:] = limits[-1]
         self.curvature_per_m[index, :count] = _smooth_curvature(yaw_rad)
+        self.curvature_per_m[index, count:] = 0.0
         self._add_gates(index, lanes, start_s_m, lengths)
         return index
 
     def _add_gates(
         self, index: int, lanes: Sequence[Lane], start_s_m: FloatArray, lengths: FloatArray
     ) -> None:
+        for name, empty in _NO_GATES.items():
+            getattr(self, name)[index] = empty
         gate = fork = 0
         for position, lane in enumerate(lanes):
             end_s_m = start_s_m[position] + lengths[position]
@@ -245,20 +254,38 @@ class Road:
             new[: old.shape[0], : old.shape[1]] = old
             new[: old.shape[0], old.shape[1] :] = old[:, -1:] if name != "curvature_per_m" else 0.0
             setattr(self, name, new)
-        fills = {"gate_s_m": np.inf, "fork_s_m": np.inf, "fork_end_s_m": np.inf, "gate_signal": -1}
-        for name in (
-            "gate_s_m",
-            "gate_type",
-            "gate_signal",
-            "fork_s_m",
-            "fork_end_s_m",
-            "fork_turn",
-        ):
+        for name, empty in _NO_GATES.items():
             old = getattr(self, name)
-            new = np.full((rows, MAX_FORKS), fills.get(name, 0), dtype=old.dtype)
+            new = np.full((rows, MAX_FORKS), empty, dtype=old.dtype)
             new[: old.shape[0]] = old
             setattr(self, name, new)
         self.count = np.concatenate((self.count, np.full(rows - len(self.count), 2)))
+        self._touched = np.concatenate((self._touched, np.zeros(rows - len(self._touched), int)))
+
+    def touch(self, line: IntArray) -> None:
+        """Time goes on by a frame, in which the lines [...] are in use; -1 stands for none."""
+        self._clock += 1
+        if len(self._touched):
+            self._touched[line[line >= 0]] = self._clock
+
+    def release(self, idle_frames: int) -> None:
+        """Let go of the lines that were not touched for so many frames.
+
+        Nobody may hold on to these: their numbers will mean other lines.
+        """
+        old = self._touched[: len(self.lines)] < self._clock - idle_frames
+        old[self._free] = False
+        gone = np.flatnonzero(old)
+        if not len(gone):
+            return
+        dropped = set(gone.tolist())
+        for index in dropped:
+            del self._line_of_route[self.lines[index].route]
+        self._free += sorted(dropped, reverse=True)
+        self._branches = {
+            key: lines for key, lines in self._branches.items() if dropped.isdisjoint(lines)
+        }
+        self.conflict_table.drop(gone)
 
     # -- coordinates --------------------------------------------------------------------------
 
@@ -272,7 +299,7 @@ class Road:
         return project_at(self.xy_m, self.count, LINE_STEP_M, line, xy_m, vertex)
 
     def track(
-        self, line: IntArray, xy_m: FloatArray, guess_s_m: FloatArray
+        self, line: IntArray, xy_m: FloatArray, guess_s_m: FloatArray, steps: int = 1
     ) -> tuple[FloatArray, FloatArray]:
         """Frenet s, d [Q] of points [Q, 2] whose feet are known to within about a metre.
 
@@ -280,31 +307,30 @@ class Road:
         `project`, for points carried on from frame to frame.
         """
         last = self.count[line] - 1
-        near = np.clip(np.rint(guess_s_m / LINE_STEP_M).astype(np.int64), 0, last)
-        away = xy_m - self.xy_m[line, near]
-        yaw = self.yaw_rad[line, near]
-        ahead_m = away[:, 0] * np.cos(yaw) + away[:, 1] * np.sin(yaw)
-        vertex = np.clip(near + np.rint(ahead_m / LINE_STEP_M).astype(np.int64), 0, last)
+        vertex = np.clip(np.rint(guess_s_m / LINE_STEP_M).astype(np.int64), 0, last)
+        for _ in range(steps):
+            away = xy_m - self.xy_m[line, vertex]
+            yaw = self.yaw_rad[line, vertex]
+            ahead_m = away[:, 0] * np.cos(yaw) + away[:, 1] * np.sin(yaw)
+            vertex = np.clip(vertex + np.rint(ahead_m / LINE_STEP_M).astype(np.int64), 0, last)
         return project_at(self.xy_m, self.count, LINE_STEP_M, line, xy_m, vertex)
 
     def search(
         self, line: IntArray, xy_m: FloatArray, low_s_m: FloatArray, reach_m: float
     ) -> tuple[FloatArray, FloatArray]:
         """Frenet s, d [Q] of points anywhere between `low_s_m` and `reach_m` further on."""
-        stride = 8
-        vertices = int(reach_m / (LINE_STEP_M * stride)) + 2
-        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, stride)
+        vertices = int(reach_m / (LINE_STEP_M * COARSE)) + 2
+        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, COARSE)
         coarse, _ = nearest_vertex(self.xy_m, line, xy_m, index)
         coarse_s_m = coarse.astype(np.float64) * LINE_STEP_M
-        return self.project(line, xy_m, coarse_s_m, 0.75 * stride * LINE_STEP_M)
+        return self.project(line, xy_m, coarse_s_m, 0.75 * COARSE * LINE_STEP_M)
 
     def coarse_distance_m(
         self, line: IntArray, xy_m: FloatArray, low_s_m: FloatArray, reach_m: float
     ) -> tuple[FloatArray, FloatArray]:
         """s [Q] and distance [Q] of the nearest of the vertices 4 m apart: a cheap first look."""
-        stride = 8
-        vertices = int(reach_m / (LINE_STEP_M * stride)) + 2
-        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, stride)
+        vertices = int(reach_m / (LINE_STEP_M * COARSE)) + 2
+        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, COARSE)
         vertex, square = nearest_vertex(self.xy_m, line, xy_m, index)
         return vertex.astype(np.float64) * LINE_STEP_M, np.sqrt(square)
 
@@ -338,53 +364,27 @@ class Road:
             LINE_STEP_M,
         )
 
-    def conflict_table(self, first: IntArray, second: IntArray) -> FloatArray:
-        """Conflicts of line pairs [Q] as an array [Q, MAX_CONFLICTS, 7], padded with inf.
+    def _may_meet(self, first: IntArray, second: IntArray) -> BoolArray:
+        """Whether lines [Q] and [Q] come near enough for a conflict, by every COARSE-th vertex."""
+        apart_m = CONFLICT_WIDTH_M + 1.5 * COARSE * LINE_STEP_M + 0.1
+        near = np.zeros(len(first), dtype=np.bool_)
+        for some in np.array_split(np.arange(len(first)), len(first) // 64 + 1):
+            one = self.xy_m[first[some], ::COARSE].astype(np.float32)
+            other = self.xy_m[second[some], ::COARSE].astype(np.float32)
+            away = one[:, :, None] - other[:, None]
+            near[some] = (np.einsum("qijk,qijk->qij", away, away) < apart_m**2).any(axis=(1, 2))
+        return near
 
-        Columns: entry, point, exit on the first line, the same on the second, ConflictType.
-        """
-        key = first * _KEY + second
-        row, known = self._find_pairs(key)
-        if not known.all():
-            missing = np.unique(np.minimum(first, second) * _KEY + np.maximum(first, second))
-            self._add_pairs(missing[~self._find_pairs(missing)[1]])
-            row, _ = self._find_pairs(key)
-        return self._pairs[row]
 
-    def _find_pairs(self, key: IntArray) -> tuple[IntArray, BoolArray]:
-        """Row of every key [Q], and whether it is there."""
-        if not len(self._pair_keys):
-            return np.zeros(len(key), dtype=np.int64), np.zeros(len(key), dtype=np.bool_)
-        at = np.minimum(np.searchsorted(self._pair_keys, key), len(self._pair_keys) - 1)
-        return self._pair_rows[at], self._pair_keys[at] == key
-
-    def _add_pairs(self, keys: IntArray) -> None:
-        """Work out the conflicts of pairs of lines, each given by one key, from both sides."""
-        new_keys: list[int] = []
-        for one, other in zip(*(part.tolist() for part in np.divmod(keys, _KEY)), strict=True):
-            found = () if one == other else self.conflicts(one, other)
-            for side, pair in enumerate(((one, other), (other, one))[: 1 if one == other else 2]):
-                self._store_pair(found, side)
-                new_keys.append(pair[0] * _KEY + pair[1])
-        count = self._pair_count
-        all_keys = np.concatenate((self._pair_keys, np.array(new_keys, dtype=np.int64)))
-        all_rows = np.concatenate((self._pair_rows, np.arange(count - len(new_keys), count)))
-        order = np.argsort(all_keys)
-        self._pair_keys, self._pair_rows = all_keys[order], all_rows[order]
-
-    def _store_pair(self, found: Sequence[Conflict], side: int) -> None:
-        if self._pair_count == len(self._pairs):
-            self._pairs = np.concatenate((self._pairs, np.zeros_like(self._pairs)))
-        rows = np.full((MAX_CONFLICTS, 7), np.inf)
-        ordered = sorted(found, key=lambda conflict: conflict.point_s_m[side])
-        for k, c in enumerate(ordered[:MAX_CONFLICTS]):
-            rows[k] = (
-                *(c.entry_s_m[side], c.point_s_m[side], c.exit_s_m[side]),
-                *(c.entry_s_m[1 - side], c.point_s_m[1 - side], c.exit_s_m[1 - side]),
-                float(c.type),
-            )
-        self._pairs[self._pair_count] = rows
-        self._pair_count += 1
+_NO_GATES: Final = {
+    "gate_s_m": np.inf,
+    "gate_type": 0,
+    "gate_signal": -1,
+    "fork_s_m": np.inf,
+    "fork_end_s_m": np.inf,
+    "fork_turn": 0,
+}
+"""Per-line arrays [L, MAX_FORKS], and what they hold where there is nothing."""
 
 
 def _length_m(lane: Lane) -> float:

@@ -86,11 +86,49 @@ def test_two_lines_may_conflict_twice() -> None:
 
 
 def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None:
-    first = np.array([crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH)])
-    table = crossing.conflict_table(first, first[::-1])
-    np.testing.assert_array_equal(table[0, 0, :3], table[1, 0, 3:6])
-    np.testing.assert_array_equal(table[0, 0, 3:6], table[1, 0, :3])
-    assert np.isinf(table[:, 1:]).all()
+    lines = np.array([crossing.line(r) for r in (WEST_NORTH, SOUTH_NORTH, WEST_EAST)])
+    first, second = np.array([0, 1, 0, 0, 2]), np.array([1, 0, 2, 0, 1])
+    found = crossing.conflict_table.of_pairs(lines[first], lines[second])
+    # A merge both ways round, nothing where they diverge or are one, a crossing.
+    assert found.pair.tolist() == [0, 1, 4]
+    assert found.type.tolist() == [ConflictType.MERGE, ConflictType.MERGE, ConflictType.CROSS]
+    for sides in (found.entry_s_m, found.point_s_m, found.exit_s_m):
+        np.testing.assert_array_equal(sides[0], sides[1, ::-1])
+    (alone,) = crossing.conflicts(int(lines[2]), int(lines[1]))
+    np.testing.assert_array_equal(found.point_s_m[2], alone.point_s_m)
+    np.testing.assert_array_equal(found.entry_s_m[2], alone.entry_s_m)
+    np.testing.assert_array_equal(found.exit_s_m[2], alone.exit_s_m)
+
+
+def test_lines_not_in_use_are_let_go_and_their_numbers_used_again(crossing: Road) -> None:
+    kept, gone = crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH)
+    pair = np.array([kept]), np.array([gone])
+    before = crossing.conflict_table.of_pairs(*pair).point_s_m
+    xy_m, count = crossing.xy_m[kept].copy(), len(crossing.conflict_table)
+    for _ in range(4):
+        crossing.touch(np.array([[kept, -1]]))
+    crossing.release(idle_frames=4)
+    assert crossing.line(SOUTH_NORTH) == gone and len(crossing.conflict_table) == count
+    for _ in range(5):
+        crossing.touch(np.array([[kept, -1]]))
+    crossing.release(idle_frames=4)
+    assert len(crossing.conflict_table) == 0
+    other = crossing.line(WEST_EAST)
+    assert other == gone and crossing.lines[gone].route == WEST_EAST
+    fresh = Road(crossing.lanes.values())
+    alone = fresh.line(WEST_EAST)
+    length = int(fresh.count[alone])
+    np.testing.assert_array_equal(crossing.xy_m[other, :length], fresh.xy_m[alone, :length])
+    assert crossing.count[other] == length
+    for name in ("gate_s_m", "fork_s_m", "fork_turn"):
+        np.testing.assert_array_equal(getattr(crossing, name)[other], getattr(fresh, name)[alone])
+    np.testing.assert_array_equal(crossing.xy_m[kept], xy_m)
+    again = crossing.line(SOUTH_NORTH)
+    assert again not in (kept, other)
+    found = crossing.conflict_table.of_pairs(np.array([kept]), np.array([again]))
+    np.testing.assert_array_equal(found.point_s_m, before)
+    # West to east diverges from west to north: nothing is left over from the pair before.
+    assert not len(crossing.conflict_table.of_pairs(*pair).pair)
 
 
 @given(
