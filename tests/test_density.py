@@ -190,7 +190,6 @@ def traffic(draw: st.DrawFn) -> Vehicles:
 def test_conflicts_are_those_of_a_loop_over_pairs(vehicles: Vehicles) -> None:
     road = Road(crossing_lanes())
     seen = seen_of(road, frames_of(vehicles, 8))
-    everybody = np.ones(len(vehicles), dtype=np.bool_)
     expected = [0] * len(vehicles)
     for i in range(len(vehicles)):
         for j in range(len(vehicles)):
@@ -202,7 +201,7 @@ def test_conflicts_are_those_of_a_loop_over_pairs(vehicles: Vehicles) -> None:
                 and -2.0 < conflict.point_s_m[1] - seen.lines.s_m[j] <= 60.0
                 for conflict in road.conflicts(int(one), int(other))
             )
-    assert conflicting(road, seen, everybody).tolist() == expected
+    assert conflicting(road, seen, np.arange(len(vehicles))).tolist() == expected
 
 
 @given(traffic())

@@ -23,8 +23,9 @@ from hatn_sim.datatypes import (
     Scene,
     Score,
 )
-from hatn_sim.graph import INTERACTION_M, PASSED_M
+from hatn_sim.graph import active_conflicts
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+from hatn_sim.loop import RELEASE_FRAMES
 from hatn_sim.perception import Perception, begin, perceive
 from hatn_sim.road import Road
 from hatn_sim.score.intervals import MIN_RUNS, cluster_sums, interval, ratio
@@ -72,18 +73,19 @@ def count_interacting(road: Road, frames: Iterable[Frame], watched: int = 0) -> 
         state = perceive(state, frame.scene, None)
         if index >= 0 and index % SAMPLE_EVERY_FRAMES == 0:
             parts.append(_sample(road, state.seen, numbers))
+        if index % RELEASE_FRAMES == 0:
+            road.release(idle_frames=RELEASE_FRAMES)
     return pool(parts)
 
 
 def _sample(road: Road, seen: Perception, numbers: dict[str, int]) -> Density:
     """The samples of one moment; newcomers get the next free of the vehicles' numbers."""
     scene = seen.scene
-    is_vehicle = np.asarray(scene.kind != Kind.PEDESTRIAN)
-    at = np.flatnonzero(is_vehicle)
+    at = np.flatnonzero(scene.kind != Kind.PEDESTRIAN)
     others = np.zeros((len(at), len(CRITERIA)), dtype=np.int64)
     others[:, 0] = len(at) - 1
     others[:, 1:3] = _within(scene, at)
-    others[:, 3] = conflicting(road, seen, is_vehicle)[at]
+    others[:, 3] = conflicting(road, seen, at)
     vehicle = [numbers.setdefault(scene.ids[i], len(numbers)) for i in at.tolist()]
     return Density(
         run=np.zeros(len(at), dtype=np.int64),
@@ -103,22 +105,10 @@ def _within(scene: Scene, at: IntArray) -> IntArray:
     return np.stack(found, axis=1).astype(np.int64) - 1
 
 
-def conflicting(road: Road, seen: Perception, counts: BoolArray) -> IntArray:
-    """Vehicles [N] whose lines have an active conflict with each one's, among those that count [N].
-
-    Active: ahead of both or at most `PASSED_M` behind, and within `INTERACTION_M` of both.
-    """
-    line, s_m = seen.lines.line, seen.lines.s_m
-    on_line = np.flatnonzero(counts & (line >= 0))
-    if len(on_line) < 2:
-        return np.zeros(len(line), dtype=np.int64)
-    # Along the lines 60 m each at most, so never farther apart than this.
-    tree = KDTree(seen.scene.xy_m[on_line])
-    one, other = on_line[tree.query_pairs(2.0 * INTERACTION_M, output_type="ndarray")].T
-    table = road.conflict_table(line[one], line[other])
-    ahead_m = np.stack((table[:, :, 1] - s_m[one, None], table[:, :, 4] - s_m[other, None]))
-    active = ((ahead_m > -PASSED_M) & (ahead_m <= INTERACTION_M)).all(axis=0).any(axis=-1)
-    return np.bincount(np.concatenate((one[active], other[active])), minlength=len(line))
+def conflicting(road: Road, seen: Perception, at: IntArray) -> IntArray:
+    """Vehicles [V] whose lines have an active conflict with each one's, among the vehicles `at`."""
+    met = active_conflicts(road, seen, at[seen.lines.line[at] >= 0])
+    return np.bincount(met.ego, minlength=len(seen.scene.ids))[at]
 
 
 def pool(parts: Sequence[Density]) -> Density:
