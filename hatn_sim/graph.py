@@ -117,7 +117,7 @@ def _interacting(
     ego_m[:, 0] = rear_m[:, 0] = FREE_M
     row_of = np.full(len(scene.ids), -1, dtype=np.int64)
     row_of[ego] = np.arange(len(ego))
-    met = _active_conflicts(road, seen, ego)
+    met = active_conflicts(road, seen, ego)
     if len(met.ego):
         one, other = row_of[met.ego], met.other
         order = np.lexsort((met.rank, np.maximum(met.ego_m, met.other_m), one))
@@ -140,7 +140,7 @@ def _interacting(
 
 
 @dataclass(frozen=True, eq=False)
-class _Active:
+class Active:
     """Who meets whom, one row for each ego and other vehicle: the first conflict of the two."""
 
     ego: IntArray  # [I] vehicle
@@ -151,7 +151,7 @@ class _Active:
     rank: IntArray  # [I] of the other's id
 
 
-def _active_conflicts(road: Road, seen: Perception, ego: IntArray) -> _Active:
+def active_conflicts(road: Road, seen: Perception, ego: IntArray) -> Active:
     """Conflicts within reach of both vehicles: for each pair the first along the ego's line."""
     line, s, ids = seen.lines.line, seen.lines.s_m, seen.scene.ids
     near = np.zeros((0, 2), dtype=np.int64)
@@ -173,7 +173,7 @@ def _active_conflicts(road: Road, seen: Perception, ego: IntArray) -> _Active:
     first = order[np.concatenate(([True], both[1:] != both[:-1]))] if len(order) else order
     other = other[first]
     rank = np.argsort(np.argsort(np.array(ids)))[other] if len(other) else other
-    return _Active(ego_of[first], other, ego_m[first], other_m[first], kind[first], rank)
+    return Active(ego_of[first], other, ego_m[first], other_m[first], kind[first], rank)
 
 
 @dataclass(frozen=True, eq=False)
