@@ -32,7 +32,7 @@ LAYERS = (
     ("graph", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
     ("learn", "log", "loop", "recordings", "report", "score", "traffic"),
-    ("bench", "cli", "commands", "envs"),
+    ("bench", "bench_scaling", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 
