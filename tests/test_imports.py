@@ -27,7 +27,7 @@ ONLY_IN = {
 """Package -> the modules, or packages of modules, that may import it."""
 
 LAYERS = (
-    ("", "datatypes", "errors", "geometry", "resources"),
+    ("", "datatypes", "errors", "geometry", "plugins", "resources"),
     ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
     ("graph", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
