@@ -33,7 +33,8 @@ def test_every_agent_that_ships_can_be_made_and_asked() -> None:
 
 def test_an_agent_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.py").write_text(
-        "class Calm:\n    def init(self, road): pass\n    def step(self, s, e, c, a): return s, None\n"
+        "class Calm:\n    def init(self, road): pass\n"
+        "    def step(self, state, ego_id, scene, advice): return state, None\n"
         "class Half:\n    def init(self, road): pass\n"
     )
     monkeypatch.chdir(tmp_path)
