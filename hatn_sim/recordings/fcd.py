@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -13,6 +12,7 @@ import numpy as np
 from hatn_sim.config import RecordedSource
 from hatn_sim.datatypes import DT_S, Frame, Lane, Scene, Truth
 from hatn_sim.errors import InputError
+from hatn_sim.recordings.ending import with_end
 from hatn_sim.recordings.fcd_head import Moment, check_net, check_speeds, first_moments, lacks
 from hatn_sim.recordings.fcd_rows import Timestep, read_timesteps
 from hatn_sim.recordings.fcd_scenes import SceneReader
@@ -76,20 +76,19 @@ class FcdRecording:
                 if positions do not fit the speeds or the net.
         """
         _ = self.notices
-        held: Frame | None = None
+        return with_end(self._frames())
+
+    def _frames(self) -> Iterator[Frame]:
         before: frozenset[str] = frozenset()
         for scene in self._scenes():
-            if held is not None:
-                yield held
             present = frozenset(scene.ids)
             truth = Truth(
                 routes=(None,) * len(scene.ids),
                 departed=tuple(name for name in scene.ids if name not in before),
                 arrived=tuple(sorted(before - present)),
             )
-            held, before = Frame(scene, truth, done=False), present
-        if held is not None:
-            yield replace(held, done=True)
+            yield Frame(scene, truth, done=False)
+            before = present
 
     def _scenes(self) -> Iterator[Scene]:
         """The scenes, and empty ones in gaps."""

@@ -40,7 +40,7 @@ def first_moments(moments: Iterable[Moment]) -> Iterator[Moment]:
     samples = 0
     for moment in moments:
         yield moment
-        samples += len(moment.step.vehicles)
+        samples += len(moment.scene.ids)
         if samples >= HEAD_SAMPLES:
             return
 
@@ -95,7 +95,7 @@ def check_net(
 
 def lacks(head: Sequence[Moment], types: Mapping[str, VehicleType]) -> list[str]:
     """Notices on what the vehicles do not say; `types` are those of known size."""
-    rows = [row for moment in head for row in moment.step.vehicles]
+    rows = [row for moment in head for row, on_foot in moment.step.users if not on_foot]
     unsized = [row for row in rows if row.get("length") is None or row.get("width") is None]
     names = {str(row.get("type") or "") for row in unsized}
     guesses = sorted(name for name in names if type_of(types, name) is None)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from hatn_sim.errors import InputError
 from hatn_sim.safe_xml import iterparse_xml
@@ -30,14 +30,20 @@ _PARQUET_MAGIC: Final = b"PAR1"
 _PARQUET_ROWS: Final = 20_000
 
 
+class RoadUser(NamedTuple):
+    """A vehicle or person of one moment."""
+
+    row: Row
+    on_foot: bool  # a person; it may ride in a vehicle nevertheless
+
+
 @dataclass(frozen=True)
 class Timestep:
     """The road users of one moment as the file has them."""
 
     time: str  # as the file has it, for messages
     time_s: float
-    vehicles: tuple[Row, ...]
-    persons: tuple[Row, ...]
+    users: tuple[RoadUser, ...]
     closed: str = ""
 
 
@@ -63,26 +69,23 @@ def _from_xml(path: Path) -> Iterator[Timestep]:
         yield Timestep(
             time=str(time),
             time_s=_seconds(path, time),
-            vehicles=tuple(child.attrib for child in element if child.tag == "vehicle"),
-            persons=tuple(child.attrib for child in element if child.tag == "person"),
+            users=tuple(
+                RoadUser(child.attrib, child.tag == "person")
+                for child in element
+                if child.tag in ("vehicle", "person")
+            ),
             closed=element.get(CLOSED_ATTRIBUTE, ""),
         )
 
 
 def _from_parquet(path: Path) -> Iterator[Timestep]:
     for time, rows in groupby(_parquet_rows(path), key=lambda row: row["time"]):
-        users = [row for row in rows if row["id"] is not None]
-        persons = [_is_on_foot(row) for row in users]
-        yield Timestep(
-            time=str(time),
-            time_s=_seconds(path, time),
-            vehicles=tuple(row for row, walks in zip(users, persons, strict=True) if not walks),
-            persons=tuple(row for row, walks in zip(users, persons, strict=True) if walks),
+        users = tuple(
+            RoadUser(row, on_foot=row.get("edge") is not None and row.get("lane") is None)
+            for row in rows
+            if row["id"] is not None
         )
-
-
-def _is_on_foot(row: Row) -> bool:
-    return row.get("edge") is not None and row.get("lane") is None
+        yield Timestep(str(time), _seconds(path, time), users)
 
 
 def _parquet_rows(path: Path) -> Iterator[Row]:

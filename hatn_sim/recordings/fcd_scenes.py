@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -43,7 +42,7 @@ class SceneReader:
 
         Raises InputError for a vehicle that is there twice and for what is no number.
         """
-        users = _users(step)
+        users = _named(step)
         ids = tuple(user.name for user in users)
         if len(set(ids)) < len(ids) or "" in ids:
             odd = next((name for place, name in enumerate(ids) if name in ids[:place]), "")
@@ -69,20 +68,20 @@ class SceneReader:
             signal_closed=np.array([letter == "1" for letter in step.closed], np.bool_),
         )
 
-    def _look(self, step: Timestep, user: _User) -> VehicleType:
-        key = (user.walks, *(user.row.get(name) for name in _LOOKS))
+    def _look(self, step: Timestep, user: _Named) -> VehicleType:
+        key = (user.on_foot, *(user.row.get(name) for name in _LOOKS))
         look = self._looks.get(key)
         if look is None:
             look = self._looks[key] = self._read_look(step, user)
         return look
 
-    def _read_look(self, step: Timestep, user: _User) -> VehicleType:
+    def _read_look(self, step: Timestep, user: _Named) -> VehicleType:
         row, type_name = user.row, str(user.row.get("type") or "")
         default = type_of(self._types, type_name) or guessed(
-            "pedestrian" if user.walks else type_name
+            "pedestrian" if user.on_foot else type_name
         )
         kind_name, colour = row.get("kind"), row.get("color")
-        kind = Kind.PEDESTRIAN if user.walks else default.kind
+        kind = Kind.PEDESTRIAN if user.on_foot else default.kind
         if kind_name is not None and kind_name not in KIND_NAMES:
             what = f"a kind of vehicle{nearest(str(kind_name), KIND_NAMES)}"
             raise self._wrong(step, what, f"{kind_name!r} of {user.name!r}")
@@ -93,7 +92,7 @@ class SceneReader:
             colour=default.colour if colour is None else read_colour(colour),
         )
 
-    def _metres(self, step: Timestep, user: _User, key: str, default: float) -> float:
+    def _metres(self, step: Timestep, user: _Named, key: str, default: float) -> float:
         if user.row.get(key) is None:
             return default
         value = _number(user.row, key)
@@ -102,7 +101,7 @@ class SceneReader:
             raise self._wrong(step, f"{key} in metres above 0", found)
         return value
 
-    def _numbers(self, step: Timestep, users: Sequence[_User]) -> FloatArray:
+    def _numbers(self, step: Timestep, users: Sequence[_Named]) -> FloatArray:
         """[N, 5] x, y, angle, speed, signals."""
         keys = ("x", "y", "angle", "speed", "signals")
         rows = [[_number(user.row, key) for key in keys] for user in users]
@@ -121,27 +120,24 @@ class SceneReader:
         )
 
 
-@dataclass(frozen=True)
-class _User:
-    """A road user of a timestep."""
+class _Named(NamedTuple):
+    """A road user and its name in the scene."""
 
     name: str
     row: Row
-    walks: bool
+    on_foot: bool
 
 
-def _users(step: Timestep) -> list[_User]:
+def _named(step: Timestep) -> list[_Named]:
     """The vehicles, and the persons that do not ride in one of them."""
-    users = [_User(str(row.get("id") or ""), row, walks=False) for row in step.vehicles]
-    if not step.persons:
-        return users
-    places = {_place(row) for row in step.vehicles}
-    for row in step.persons:
-        if row.get("vehicle") or _place(row) in places:
+    vehicles = {_place(row) for row, on_foot in step.users if not on_foot}
+    users: list[_Named] = []
+    for row, on_foot in step.users:
+        if on_foot and (row.get("vehicle") or _place(row) in vehicles):
             continue
         # Our own export says the kind, and gives the whole name.
-        prefix = "" if row.get("kind") else PEDESTRIAN_PREFIX
-        users.append(_User(f"{prefix}{row.get('id') or ''}", row, walks=True))
+        prefix = PEDESTRIAN_PREFIX if on_foot and not row.get("kind") else ""
+        users.append(_Named(f"{prefix}{row.get('id') or ''}", row, on_foot))
     return users
 
 
