@@ -81,7 +81,8 @@ def check_numbers(path: Path, columns: Columns, may_be_blank: BoolArray) -> None
             wrong &= ~(may_be_blank & np.isnan(values))
         _refuse_first(path, columns, wrong, name, "a number")
         if name in ("frame_id", "timestamp_ms"):
-            _refuse_first(path, columns, values != np.rint(values), name, "a whole number")
+            odd = (values != np.rint(values)) | ((name == "frame_id") & (np.abs(values) >= 2**31))
+            _refuse_first(path, columns, odd, name, "a whole number")
         elif name == "psi_rad":
             far = np.abs(values) > 2 * math.pi + 0.01
             _refuse_first(path, columns, far, name, "radians within -2 pi and 2 pi", "degrees?")
@@ -111,9 +112,9 @@ def check_steps(path: Path, columns: Columns, tracks: Sequence[str]) -> None:
     wrong = np.flatnonzero(same & ((steps != 1) | (steps_ms != STEP_MS)))
     if not len(wrong):
         return
-    row = wrong[0] + 1
+    row = int(wrong[0]) + 1
     step, step_ms = float(steps[row - 1]), float(steps_ms[row - 1])
-    where = f"{path}:{columns.line[row]}: track {tracks[columns.track[row]]}"
+    where = f"{path}:{columns.line[row]}: track {tracks[int(columns.track[row])]}"
     expected = f"expected frame {frame[row - 1] + 1:.0f} after {frame[row - 1]:.0f}"
     found = f"{expected}, found {frame[row]:.0f}"
     if step == 1 and step_ms > 0:

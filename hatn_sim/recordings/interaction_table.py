@@ -77,7 +77,8 @@ class InteractionTable:
     """A file, to be read once from its beginning to its end.
 
     While `rows` runs, `track_ids` and `track_parts` grow by track number, and `parts` (the names
-    of the cases; a single empty name where the file knows none) and `first_ms` by part number.
+    of the cases; a single empty name where the file knows none) and `zero_ms` (the time of frame 0)
+    by part number.
     """
 
     def __init__(self, path: Path, wants: Callable[[str], bool] | None = None) -> None:
@@ -95,11 +96,7 @@ class InteractionTable:
         self.parts: list[str] = []
         self._part_of: dict[str, int] = {}
         self._track_of: dict[tuple[int, str], int] = {}
-        self._offset_ms: list[float] = []
-
-    def offset_ms(self, part: int) -> float:
-        """The time of frame 0 of a part."""
-        return self._offset_ms[part]
+        self.zero_ms: list[float] = []
 
     def rows(self) -> Iterator[Rows]:
         """The rows in the file's order. Raises InputError where they are at fault."""
@@ -110,7 +107,9 @@ class InteractionTable:
         for batch in self._batches():
             lines = np.arange(line, line + len(batch))
             line += len(batch)
-            texts = {name: self._texts(batch, name) for name in _TEXTS if name in self._names}
+            texts = {
+                name: self._texts(batch, name, lines) for name in _TEXTS if name in self._names
+            }
             values = {
                 name: batch.column(name).to_numpy(zero_copy_only=False)
                 for name in _NUMBERS
@@ -185,14 +184,13 @@ class InteractionTable:
         reason = said.splitlines()[0][:120]
         return InputError(f"{where}: expected CSV, cannot be read: {reason}; correct the file")
 
-    def _texts(self, batch: Any, name: str) -> tuple[list[str], IntArray]:
+    def _texts(self, batch: Any, name: str, lines: IntArray) -> tuple[list[str], IntArray]:
         """Distinct texts of a column and the index [R] of every row's; numbers without `.0`."""
         column = batch.column(name)
         if column.null_count:
             row = int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])
             raise InputError(
-                f"{self.path}: {name}: expected a name, found none in row {row + 1} of a block of "
-                f"{len(batch)}; fill it in"
+                f"{self.path}:{lines[row]}: {name}: expected a name, found none; fill it in"
             )
         names = [str(value).strip() for value in column.dictionary.to_pylist()]
         whole = [re.sub(r"^(\d+)\.0+$", r"\1", text) for text in names]
@@ -237,17 +235,15 @@ class InteractionTable:
             self._part_of[case] = len(self.parts)
             self.parts.append(case)
             frame, time_ms = values["frame_id"][row], values["timestamp_ms"][row]
-            self._offset_ms.append(float(time_ms - 100.0 * frame))
+            self.zero_ms.append(float(time_ms - 100.0 * frame))
         return self._part_of[case]
 
     def _check_clocks(self, block: Columns, starts: IntArray) -> None:
         parts = [self.track_parts[track] for track in block.track[starts].tolist()]
-        offset_ms = np.array(self._offset_ms)[parts] if parts else np.zeros(0)
+        offset_ms = np.array(self.zero_ms)[parts] if parts else np.zeros(0)
         check_clock(self.path, block, starts, offset_ms)
 
-    def _made(
-        self, block: Columns, kind: NDArray[Any], starts: IntArray, held_yaw: float
-    ) -> Rows:
+    def _made(self, block: Columns, kind: NDArray[Any], starts: IntArray, held_yaw: float) -> Rows:
         values = block.values
         rows: Rows = np.zeros(len(block.line), dtype=ROW)
         rows["part"] = np.array(self.track_parts)[block.track]

@@ -50,11 +50,7 @@ def with_gates(
     ends: dict[str, Gate] = {}
     cuts: dict[str, list[tuple[float, Gate]]] = {}
     for rule in _rules(path, osm):
-        waiting = [
-            lane
-            for lane in lanes
-            if _concerns(rule, lane, predecessors, lanelet_of)
-        ]
+        waiting = [lane for lane in lanes if _concerns(rule, lane, predecessors, lanelet_of)]
         found = _lines_met_m(rule, waiting)
         if not found and rule.lanelets is not None:
             named = [lane for lane in waiting if lanelet_of[lane.id] in rule.lanelets]
