@@ -117,9 +117,12 @@ class InteractionRecording:
         for recorded in self._recordings:
             with Spool(ROW) as spool:
                 found = scan(recorded, self._cases, self.lanes, self._map_path, spool)
-                known += [part.name for part in found.parts]
+                known += found.cases
+                if recorded is self._recordings[-1]:
+                    refuse_unknown(recorded.paths[0], self._cases, known)
                 starts = _starts(found.parts, free, self._has_cases)
-                free = _end(starts[-1], found.parts[-1]) + GAP_FRAMES
+                if found.parts:
+                    free = _end(starts[-1], found.parts[-1]) + GAP_FRAMES
                 ids = np.array(self._ids(recorded, found), dtype=object)
                 colour = _colours(ids)
                 for bucket in spool.buckets:
@@ -133,7 +136,6 @@ class InteractionRecording:
                             rows=rows,
                             colour=colour[rows["track"]],
                         )
-        refuse_unknown(self._recordings[0].paths[0], self._cases, known)
 
     def _ids(self, recorded: Recorded, found: Scan) -> list[str]:
         """A name for every track, `000:12` where there are several recordings or cases."""

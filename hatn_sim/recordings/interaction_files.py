@@ -81,7 +81,7 @@ def read_ids(path: Path) -> Mapping[str, str]:
             f"{path}: expected rows of {','.join(ID_COLUMNS)} below a header of these names; "
             "correct the file or take it away"
         )
-    return dict(tuple(row) for row in rows[1:])
+    return {row[0]: row[1] for row in rows[1:]}
 
 
 def _recorded(name: str, paths: Sequence[Path]) -> Recorded:

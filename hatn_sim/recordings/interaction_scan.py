@@ -45,6 +45,7 @@ class Scan:
     track_names: list[str]
     track_part: IntArray
     parts: list[Part]
+    cases: list[str]  # of the files, where some were to be chosen
 
 
 def scan(
@@ -61,11 +62,12 @@ def scan(
     track_names: list[str] = []
     track_part: list[int] = []
     parts: list[Part] = []
+    seen: list[str] = []
     for path in recorded.paths:
         table = InteractionTable(path, (lambda case: is_named(case, cases)) if cases else None)
         first = np.zeros(0, dtype=np.int64)
         last = np.zeros(0, dtype=np.int64)
-        places: list[FloatArray] = []
+        places: list[FloatArray] = [np.zeros((0, 2))]
         for rows in table.rows():
             first, last = _spans(first, last, rows, len(table.parts))
             if sum(len(some) for some in places) < MOST_PLACES:
@@ -82,7 +84,8 @@ def scan(
         ids = [names_of.get(name, name) for name in table.track_ids]
         track_names += [f"P{name}" if name in taken else name for name in ids]
         track_part += table.track_parts
-    return Scan(track_names, np.array(track_part, dtype=np.int64), parts)
+        seen += table.cases
+    return Scan(track_names, np.array(track_part, dtype=np.int64), parts, seen)
 
 
 def _spans(first: IntArray, last: IntArray, rows: Rows, count: int) -> tuple[IntArray, IntArray]:

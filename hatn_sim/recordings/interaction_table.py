@@ -94,6 +94,7 @@ class InteractionTable:
         self.track_ids: list[str] = []
         self.track_parts: list[int] = []
         self.parts: list[str] = []
+        self.cases: dict[str, None] = {}  # seen while choosing among them, in order
         self._part_of: dict[str, int] = {}
         self._track_of: dict[tuple[int, str], int] = {}
         self.zero_ms: list[float] = []
@@ -117,6 +118,7 @@ class InteractionTable:
             }
             if CASE in texts and self._wants is not None:
                 names, codes = texts[CASE]
+                self.cases.update(dict.fromkeys(names))
                 keep = np.array([self._wants(name) for name in names], dtype=np.bool_)[codes]
                 if not keep.any():
                     continue
@@ -129,19 +131,16 @@ class InteractionTable:
             track, starts = self._numbered(lines, texts, previous, values)
             block = Columns(lines, track, values)
             check_numbers(self.path, block, np.isin(kind, list(DEFAULT_SIZE_M)))
-            self._check_clocks(block, starts)
             joined = block if last is None else _joined(last, block)
             check_steps(self.path, joined, self.track_ids)
+            self._check_clocks(block, starts)
             speeds.add(joined)
             last = _tail(block)
             rows = self._made(block, kind, starts, held_yaw)
             held_yaw = float(rows["yaw_rad"][-1])
             yield rows
-        if last is None:
-            raise InputError(
-                f"{self.path}: expected tracks, found none; give a file with rows of the "
-                "recording that is wanted"
-            )
+        if last is None and not self.cases:
+            raise InputError(f"{self.path}: expected tracks, found none; give a file with rows")
         speeds.finish()
 
     def _batches(self) -> Iterator[Any]:
@@ -170,7 +169,7 @@ class InteractionTable:
         """What the reader of the table says, as a line of ours."""
         row = re.search(r"Row #(\d+)", said)
         where = f"{self.path}:{row[1]}" if row else str(self.path)
-        value = re.search(r"CSV column #(\d+): .*error to \w+: (.*)", said)
+        value = re.search(r"CSV column #(\d+): .*error to \w+: (?:invalid value )?(.*)", said)
         if value is not None and int(value[1]) < len(self._names):
             name = self._names[int(value[1])]
             expected = "UTF-8 text" if name in _TEXTS else "a number"
