@@ -21,6 +21,8 @@ ONLY_IN = {
     "highway_env": ("simulators.highway",),
     "gymnasium": ("envs", "simulators.highway"),
     "pyarrow": ("log", "recordings"),
+    "pyproj": ("recordings",),
+    "lanelet2": (),
     "matplotlib": ("report",),
     "rich": ("report", "commands"),
 }

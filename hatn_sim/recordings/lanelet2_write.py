@@ -31,8 +31,8 @@ STOP_LINE_BACK_M: Final = 0.3
 """Stop lines stand this far before the end of their lane."""
 SHORTEST_M: Final = 0.5
 RULE_OF_GATE: Final[Mapping[Gate, tuple[str, str, str]]] = {
-    Gate.STOP_LINE: ("right_of_way", "traffic_sign", "de206"),
-    Gate.GIVE_WAY_LINE: ("right_of_way", "traffic_sign", "de205"),
+    Gate.STOP_LINE: ("traffic_sign", "traffic_sign", "de206"),
+    Gate.GIVE_WAY_LINE: ("traffic_sign", "traffic_sign", "de205"),
     Gate.SIGNAL: ("traffic_light", "traffic_light", "red_yellow_green"),
 }
 """Subtype of the rule; type and subtype of what it refers to."""
@@ -60,11 +60,10 @@ def write_lanelet2(path: Path, lanes: Sequence[Lane]) -> None:
         )
         centre = drawing.way(drawing.nodes(lane.xy_m), {"type": "virtual"})
         members = [("way", left_way, "left"), ("way", right_way, "right")]
-        lanelet = drawing.number()
-        if lane.gate is not Gate.NONE:
-            members.append(("relation", _rule(drawing, lane, lanelet), "regulatory_element"))
         members.append(("way", centre, "centerline"))
-        drawing.relation(lanelet, members, _tags(lane))
+        if lane.gate is not Gate.NONE:
+            members.append(("relation", _rule(drawing, lane), "regulatory_element"))
+        drawing.relation(members, _tags(lane))
     path.write_text(drawing.text(), encoding="utf-8")
 
 
@@ -105,7 +104,7 @@ def _corner_nodes(
     return list(zip(left, right, strict=True))
 
 
-def _rule(drawing: _Drawing, lane: Lane, lanelet: int) -> int:
+def _rule(drawing: _Drawing, lane: Lane) -> int:
     """The regulatory element of a lane's gate, with its stop line and sign."""
     subtype, sign_type, sign = RULE_OF_GATE[lane.gate]
     length_m = float(arc_length_m(lane.xy_m)[-1])
@@ -116,11 +115,7 @@ def _rule(drawing: _Drawing, lane: Lane, lanelet: int) -> int:
     beside = across[1] + (across[1] - across[0]) * np.array([[0.1], [0.3]])
     sign_way = drawing.way(drawing.nodes(beside), {"type": sign_type, "subtype": sign})
     members = [("way", sign_way, "refers"), ("way", line, "ref_line")]
-    if subtype == "right_of_way":
-        members.append(("relation", lanelet, "yield"))
-    rule = drawing.number()
-    drawing.relation(rule, members, {"type": "regulatory_element", "subtype": subtype})
-    return rule
+    return drawing.relation(members, {"type": "regulatory_element", "subtype": subtype})
 
 
 def _tags(lane: Lane) -> dict[str, str]:
@@ -164,11 +159,11 @@ class _Drawing:
         self._ways.append(_element("way", number, [*inside, *_tag_lines(tags)]))
         return number
 
-    def relation(
-        self, number: int, members: Sequence[tuple[str, int, str]], tags: Mapping[str, str]
-    ) -> None:
+    def relation(self, members: Sequence[tuple[str, int, str]], tags: Mapping[str, str]) -> int:
+        number = self.number()
         inside = [f'    <member type="{t}" ref="{ref}" role="{role}"/>' for t, ref, role in members]
         self._relations.append(_element("relation", number, [*inside, *_tag_lines(tags)]))
+        return number
 
     def text(self) -> str:
         """The map as a file."""
