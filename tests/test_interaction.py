@@ -135,6 +135,10 @@ def test_recordings_follow_each_other(tmp_path: Path, played: Callable[..., list
     assert where(frames, "002:1") == list(range(41 + 2 * GAP_FRAMES, 63 + 2 * GAP_FRAMES))
     assert np.allclose(np.diff([frame.scene.time_s for frame in frames]), 0.1)
     assert [frame.done for frame in frames] == [False] * (len(frames) - 1) + [True]
+    # A pattern that takes everything takes the names of vehicles too.
+    (tmp_path / "vehicle_ids_001.csv").write_text("track_id,id\n1,blue car\n")
+    assert where(played(*names, "vehicle_ids_001.csv"), "001:blue car")[0] == 20 + GAP_FRAMES
+    (tmp_path / "vehicle_ids_001.csv").unlink()
     chosen = played(*names, recordings=("2", "000"))
     assert {name for f in chosen for name in f.scene.ids} == {"000:1", "002:1"}
     assert {name for f in played(*names, recordings=("001",)) for name in f.scene.ids} == {"1"}

@@ -47,15 +47,18 @@ class InteractionRecording:
         assert source.map_path is not None
         self._name = name
         self._map_path = source.map_path
-        with_cases = [path for path in source.tracks if InteractionTable(path).has_cases]
-        if with_cases and len(with_cases) < len(source.tracks):
+        self._recordings = group_files(source.tracks, ())
+        paths = [path for recorded in self._recordings for path in recorded.paths]
+        with_cases = [path for path in paths if InteractionTable(path).has_cases]
+        if with_cases and len(with_cases) < len(paths):
             raise InputError(
                 f"{with_cases[0]}: expected files of one kind, found some with cases (case_id) and "
                 "some without; give them one kind at a time"
             )
-        self._cases = source.recordings if with_cases else ()
         self._has_cases = bool(with_cases)
-        self._recordings = group_files(source.tracks, () if with_cases else source.recordings)
+        self._cases = source.recordings if with_cases else ()
+        if not with_cases:
+            self._recordings = group_files(source.tracks, source.recordings)
 
     @property
     def name(self) -> str:
