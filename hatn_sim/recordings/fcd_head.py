@@ -93,8 +93,10 @@ def check_net(
     )
 
 
-def lacks(head: Sequence[Moment], types: Mapping[str, VehicleType]) -> list[str]:
-    """Notices on what the vehicles do not say; `types` are those of known size."""
+def lacks(
+    head: Sequence[Moment], types: Mapping[str, VehicleType], lanes: Sequence[Lane]
+) -> list[str]:
+    """Notices on what the recording does not say; `types` are those of known size."""
     rows = [row for moment in head for row, on_foot in moment.step.users if not on_foot]
     unsized = [row for row in rows if row.get("length") is None or row.get("width") is None]
     names = {str(row.get("type") or "") for row in unsized}
@@ -102,8 +104,8 @@ def lacks(head: Sequence[Moment], types: Mapping[str, VehicleType]) -> list[str]
     notices: list[str] = []
     if len(guesses) < len(names):
         notices.append(
-            f"sizes of {len(names) - len(guesses)} vehicle types are those of the .rou.xml and "
-            ".add.xml files beside the tracks and the net"
+            f"sizes of {len(names) - len(guesses)} vehicle types are SUMO's own and those of the "
+            ".rou.xml and .add.xml files beside the tracks and the net"
         )
     if guesses:
         more = f" and {len(guesses) - 3} more" if len(guesses) > 3 else ""
@@ -114,6 +116,6 @@ def lacks(head: Sequence[Moment], types: Mapping[str, VehicleType]) -> list[str]
         )
     if rows and all(row.get("signals") is None for row in rows):
         notices.append("there are no blinkers; record with --fcd-output.signals to have them")
-    if not any(moment.step.closed for moment in head):
+    if any(lane.signals for lane in lanes) and not any(moment.step.closed for moment in head):
         notices.append("there are no traffic lights in floating car data: all count as open")
     return notices
