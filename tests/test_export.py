@@ -16,12 +16,12 @@ from test_log import make_frame
 
 from hatn_sim.cli import main
 from hatn_sim.config import load_scenario, load_tracks
-from hatn_sim.datatypes import Frame, Kind
+from hatn_sim.datatypes import Frame, Kind, Recording
 from hatn_sim.errors import InputError
 from hatn_sim.log import RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
-from hatn_sim.recordings.fcd import FcdRecording
 from hatn_sim.recordings.fcd_export import export_fcd
+from hatn_sim.recordings.find import open_recording
 from hatn_sim.simulators.sumo import SumoSimulator
 
 FRAMES = 60
@@ -77,13 +77,13 @@ def assert_same_tracks(frames: Sequence[Frame], expected: Sequence[Frame]) -> No
             np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
 
 
-def played_back(words: str) -> FcdRecording:
+def played_back(words: str) -> Recording:
     """What the printed command would play."""
     verb = words.split()
     assert verb[:3] == ["hatn-sim", "run", "--tracks"] and verb[4] == "--map"
     scenario = load_tracks((verb[3],), Path(verb[5]))
     assert scenario.recorded is not None
-    return FcdRecording("back", scenario.recorded)
+    return open_recording("back", scenario.recorded)
 
 
 def test_a_simulated_run_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,6 +173,29 @@ def test_sumo_s_own_library_reads_it(tmp_path: Path) -> None:
         )
 
 
+def test_tracks_in_the_other_format_are_played_by_the_printed_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with SumoSimulator(load_scenario("tjunction")) as simulator:
+        simulator.reset(1)
+        frames = [simulator.step() for _ in range(300)][-FRAMES:]
+        lanes = simulator.lanes
+    log(tmp_path / "run", frames)
+    write_road(tmp_path / "run" / ROAD_FILE, lanes)
+    words = ["export", str(tmp_path / "run"), "--format", "interaction", "--json"]
+    assert main(words) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert all(Path(name).is_file() for name in printed["files"])
+    back = list(played_back(printed["command"]).frames())
+    assert len(back) == FRAMES
+    for frame, other in zip(back, frames, strict=True):
+        here, there = frame.scene, other.scene
+        assert set(here.ids) == set(there.ids) and there.ids
+        rows = [here.ids.index(name) for name in there.ids]
+        np.testing.assert_allclose(here.xy_m[rows], there.xy_m, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(here.speed_mps[rows], there.speed_mps, rtol=0, atol=1e-9)
+
+
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
     log(tmp_path / "run", driving(20))
     for name in ("one", "two"):
@@ -225,4 +248,4 @@ def test_a_log_without_lanes_cannot_be_played(tmp_path: Path) -> None:
     scenario = load_tracks((str(tracks),), road)
     assert scenario.recorded is not None
     with pytest.raises(InputError, match="expected lanes for vehicles, found none"):
-        list(FcdRecording("x", scenario.recorded).frames())
+        list(open_recording("x", scenario.recorded).frames())
