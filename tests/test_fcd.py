@@ -16,7 +16,7 @@ from hatn_sim.datatypes import Frame, Kind
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.fcd import FcdRecording
 from hatn_sim.recordings.maps import read_lanes
-from hatn_sim.recordings.vehicle_types import guessed, of_class, read_colour
+from hatn_sim.recordings.vehicle_types import guessed, of_class, read_colour, read_types
 from hatn_sim.simulators.sumo import SumoSimulator
 
 NETS = Path(__file__).parent / "nets"
@@ -82,7 +82,7 @@ def test_frames_are_those_of_the_run(
     appeared = [name for frame in frames for name in frame.truth.departed]
     assert appeared == [name for frame in expected for name in frame.truth.departed]
     assert all("blinkers" not in notice for notice in played.notices)
-    assert any("vehicle types are those of" in notice for notice in played.notices)
+    assert any("vehicle types are SUMO's own and" in notice for notice in played.notices)
 
 
 PEOPLE = """
@@ -135,10 +135,22 @@ def test_sizes_by_class_are_those_of_sumo(tmp_path: Path) -> None:
             assert mine.width_m == domain.getWidth(f"my_{name}"), name
         for name, text in coloured.items():
             assert read_colour(text) == domain.getColor(name)[:3]
-        for name in ("DEFAULT_VEHTYPE", "DEFAULT_PEDTYPE", "DEFAULT_BIKETYPE", "DEFAULT_RAILTYPE"):
-            assert guessed(name).length_m == domain.getLength(name)
+        brought = {name for name in domain.getIDList() if name.startswith("DEFAULT_")}
+        known = read_types([])
+        assert known.keys() == brought
+        for name, mine in known.items():
+            assert (mine.length_m, mine.width_m) == (domain.getLength(name), domain.getWidth(name))
     finally:
         libsumo.close()
+
+
+def test_types_without_a_definition_are_guessed_by_their_names() -> None:
+    words = {
+        "car_12": Kind.CAR, "": Kind.CAR, "CityBus": Kind.BUS, "motorbike": Kind.MOTORCYCLE,
+        "bike_fast": Kind.BICYCLE, "lorry_steady": Kind.LORRY, "tram_5": Kind.TRAM,
+        "delivery van": Kind.VAN,
+    }  # fmt: skip
+    assert {name: guessed(name).kind for name in words} == words
 
 
 # ---------------------------------------------------------------------------------------------
@@ -296,7 +308,7 @@ def test_what_the_file_lacks_is_said(tmp_path: Path) -> None:
     (tmp_path / "own.rou.xml").write_text('<routes><vType id="racer" length="3"/></routes>')
     (tmp_path / "broken.rou.xml").write_text("<routes><vType")
     played = recording(path)
-    assert "sizes of 1 vehicle types are those of" in played.notices[0]
+    assert "sizes of 1 vehicle types are SUMO's own and" in played.notices[0]
     assert next(played.frames()).scene.size_m.tolist() == [[3.0, 1.8]]
     told = write(tmp_path / "g.xml", steps(tenths(0, 30), length=4, width=2, signals=0))
     assert list(recording(told).notices) == [lights]
@@ -306,6 +318,9 @@ def test_some_vehicles_off_the_net_are_noticed(tmp_path: Path) -> None:
     content = steps(tenths(0, 30), ("a", "b")) + steps(tenths(30, 50), ("c",), y=-204.8)
     notice = recording(write(tmp_path / "f.xml", content)).notices[-1]
     assert "25.0% of the first 80 positions are more than 10 m from every lane" in notice
+    shifted = write(tmp_path / "f.xml", steps(tenths(0, 30), y=-9.8))
+    notice = recording(shifted).notices[-1]
+    assert notice.startswith("vehicles are 5.0 m from the nearest lane's centre line")
 
 
 GOOD = steps(tenths(0, 30))

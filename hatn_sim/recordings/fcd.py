@@ -65,7 +65,7 @@ class FcdRecording:
             )
         check_speeds(self._path, head)
         off_net = check_net(self._path, self._map_path, self.lanes, head)
-        notices = lacks(head, self._types)
+        notices = lacks(head, self._types, self.lanes)
         return tuple(notices if off_net is None else [*notices, off_net])
 
     def frames(self) -> Iterator[Frame]:
