@@ -21,13 +21,15 @@ ONLY_IN = {
     "highway_env": ("simulators.highway",),
     "gymnasium": ("envs", "simulators.highway"),
     "pyarrow": ("log", "recordings"),
+    "pyproj": ("recordings",),
+    "lanelet2": (),
     "matplotlib": ("report",),
     "rich": ("report", "commands"),
 }
 """Package -> the modules, or packages of modules, that may import it."""
 
 LAYERS = (
-    ("", "datatypes", "errors", "geometry", "plugins", "resources"),
+    ("", "datatypes", "errors", "geometry", "plugins", "resources", "safe_xml"),
     ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
     ("graph", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
@@ -36,7 +38,7 @@ LAYERS = (
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 
-SIMULATORS_IMPORT = ("config", "datatypes", "errors", "geometry", "road", "simulators")
+SIMULATORS_IMPORT = ("config", "datatypes", "errors", "geometry", "road", "safe_xml", "simulators")
 
 
 def parse(path: Path) -> ast.Module:
