@@ -46,11 +46,8 @@ class HighwaySimulator:
             scenario.config_path, scenario.highway, scenario.scale or 1.0
         )
         network: Any = self._environment.road.network  # type: ignore[union-attr]
-        speed_mps = self._settings["spawn_speed_mps"]
         self._graph = lane_graph(
-            network,
-            0.8 * _typical_limit_mps(network) if speed_mps is None else float(speed_mps),
-            has_priorities=hasattr(self._environment.road, "enforce_road_rules"),
+            network, has_priorities=hasattr(self._environment.road, "enforce_road_rules")
         )
         self._road = Road(self._graph.lanes)
         self._traffic: Traffic | None = None
@@ -138,8 +135,3 @@ class HighwaySimulator:
             teleported=() if leaving is None else leaving.removed,
         )
         return Frame(scene=scene, truth=truth, done=not traffic.goes_on)
-
-
-def _typical_limit_mps(network: Any) -> float:
-    limits = [lane.speed_limit for lane in network.lanes_list() if lane.speed_limit is not None]
-    return float(np.median(limits)) if limits else 20.0

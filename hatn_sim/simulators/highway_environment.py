@@ -22,11 +22,17 @@ SUBSTEPS: Final = 2
 FREQUENCY_HZ: Final = 20
 """highway-env's own 15 Hz is no multiple of our 10 Hz."""
 DEFAULT_SPAWN_PROBABILITY: Final = 0.2
-OURS: Final = {"spawn_probability": DEFAULT_SPAWN_PROBABILITY, "spawn_speed_mps": None}
+OURS: Final = {"spawn_probability": DEFAULT_SPAWN_PROBABILITY, "desired_speed_mps": None}
 """Settings that every environment takes here: the chance that a vehicle comes in within a second
-(as in highway-env's own intersection), and its mean speed (None: 0.8 of the lane's limit)."""
+(as in highway-env's own intersection), and the mean of the speeds that drivers want (None: those
+of the environment, and 0.8 of the lane's limit for those who come in)."""
 FIXED: Final = ("simulation_frequency", "policy_frequency", "manual_control")
-WITHOUT_EFFECT: Final = ("duration", "offroad_terminal", "terminate_off_road", "real_time_rendering")
+WITHOUT_EFFECT: Final = (
+    "duration",
+    "offroad_terminal",
+    "terminate_off_road",
+    "real_time_rendering",
+)
 NO_TRAFFIC: Final = ("parking",)
 """Environments whose lanes are no roads."""
 COUNTS: Final = ("vehicles_count", "initial_vehicle_count", "other_vehicles")
@@ -143,7 +149,7 @@ RANGES: Final = {
     **dict.fromkeys(COUNTS, "a whole number from 0 on"),
     "controlled_vehicles": "a whole number from 1 on",
     "spawn_probability": "a number from 0 to 1",
-    "spawn_speed_mps": "a positive number",
+    "desired_speed_mps": "a positive number",
 }
 """What is expected of settings that are numbers, where any number will not do."""
 

@@ -5,8 +5,9 @@ meet: the exits of its roundabouts begin 5.6 to 7.7 m away from the ring, and it
 across, since they turn to the next lane 2.5 m before the end of theirs. So a lane is linked to
 another where a driver can go on (less than `MAX_TURN_RAD` round, `MAX_GAP_M` ahead, a lane's width
 aside), and where the two do not meet in a straight line the link is a connection of its own, along
-the path on which highway-env's own steering leads from the one to the other. Its y axis points
-down: y and headings are negated here.
+the path on which highway-env's own steering leads from the one to the other. That path depends on
+the speed, the slower the sharper: of those at all speeds, the connection is the one that the others
+are nearest to. Its y axis points down: y and headings are negated here.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from typing import Any, Final
 import numpy as np
 from highway_env.road.road import Road as HighwayRoad
 from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
+from scipy.spatial.distance import cdist
 
 from hatn_sim.datatypes import FloatArray, Gate, Kind, Lane, Route
-from hatn_sim.geometry import arc_length_m, wrap_angle
+from hatn_sim.geometry import arc_length_m, resample, wrap_angle
 
 LaneIndex = tuple[str, str, int]
 """How highway-env names a lane: from node, to node, number on that road."""
@@ -34,10 +37,13 @@ MEET_RAD: Final = 0.1
 """Lanes that differ by less where they join are driven as one."""
 LOOK_AHEAD_M: Final = 2.5
 """highway-env's drivers turn to the next lane this far before the end of theirs."""
-MERGE_S: Final = 3.0
-"""What a change of lane takes, at the end of a lane that leads nowhere but beside another."""
+MERGE_M: Final = IDMVehicle.DISTANCE_WANTED
+"""A lane that ends beside another leads over to it this far before its end: where drivers who found
+no gap on the way stand and wait."""
+PATH_SPEEDS_MPS: Final = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 16.0)
 TURNS_RAD: Final = np.deg2rad(30.0)
 SAMPLE_M: Final = 1.0
+PATH_STEP_M: Final = 0.2
 STEERING_S: Final = 0.05
 ARRIVED_M: Final = 0.2
 ARRIVED_RAD: Final = 0.05
@@ -50,6 +56,7 @@ class LaneGraph:
 
     lanes: tuple[Lane, ...]
     successors: dict[LaneIndex, tuple[LaneIndex, ...]]  # of highway-env's lanes
+    merging: frozenset[LaneIndex]  # those that end beside another and lead over to it
 
     @cached_property
     def predecessors(self) -> dict[LaneIndex, tuple[LaneIndex, ...]]:
@@ -97,8 +104,8 @@ class _Link:
     arrive_m: float  # on the second
 
 
-def lane_graph(network: RoadNetwork, speed_mps: float, has_priorities: bool) -> LaneGraph:
-    """Every lane of a network, and the connections; `speed_mps` is that of most of its drivers.
+def lane_graph(network: RoadNetwork, has_priorities: bool) -> LaneGraph:
+    """Every lane of a network, and the connections.
 
     `has_priorities`: the drivers respect the lanes' priorities; give-way lines are marked then.
     """
@@ -107,9 +114,10 @@ def lane_graph(network: RoadNetwork, speed_mps: float, has_priorities: bool) -> 
     links: dict[tuple[LaneIndex, LaneIndex], _Link] = {}
     for source, targets in straight.items():
         for target in targets:
-            links[source, target] = _link(network, source, target, speed_mps)
+            links[source, target] = _link(network, source, target)
         if not targets:
-            links |= _merges(network, source, straight, speed_mps)
+            links |= _merges(network, source, straight)
+    merging = frozenset(source for source, _ in links if not straight[source])
     successors = {index: tuple(b for a, b in links if a == index) for index in found}
     leave_m = {
         index: max((links[index, b].leave_m for b in successors[index]), default=0.0)
@@ -154,7 +162,7 @@ def lane_graph(network: RoadNetwork, speed_mps: float, has_priorities: bool) -> 
                     link_id(a, b), xy_m, (found[a], found[b]), (lane_id(b),), is_connection=True
                 )
             )
-    return LaneGraph(tuple(lanes), successors)
+    return LaneGraph(tuple(lanes), successors, merging)
 
 
 def _as_lane(
@@ -206,37 +214,49 @@ def _next_lanes(network: RoadNetwork, index: LaneIndex) -> list[LaneIndex]:
     return out
 
 
-def _link(
-    network: RoadNetwork, source: LaneIndex, target: LaneIndex, speed_mps: float
-) -> _Link:
+def _link(network: RoadNetwork, source: LaneIndex, target: LaneIndex) -> _Link:
     lane, other = network.get_lane(source), network.get_lane(target)
     gap_m = np.linalg.norm(other.position(0.0, 0.0) - lane.position(lane.length, 0.0))
     turned_rad = wrap_angle(np.asarray(other.heading_at(0.0) - lane.heading_at(lane.length)))
     if gap_m < MEET_M and abs(turned_rad) < MEET_RAD:
         return _Link(True, np.zeros((0, 2)), 0.0, 0.0)
     limits = [one.speed_limit for one in (lane, other) if one.speed_limit is not None]
-    return _driven(network, source, target, min([speed_mps, *limits]))
+    fastest_mps = min(limits, default=np.inf)
+    ways = [
+        _driven(lane, other, speed_mps)
+        for speed_mps in PATH_SPEEDS_MPS
+        if speed_mps <= fastest_mps
+    ]
+    # All are drawn out to the same end, so that their distances are of the paths alone.
+    end_m = max(way.arrive_m for way in ways)
+    whole = [resample(_drawn_out(way, other, end_m), PATH_STEP_M) for way in ways]
+    farthest_m = [max(cdist(one, two).min(axis=1).max() for two in whole) for one in whole]
+    return ways[int(np.argmin(farthest_m))]
 
 
-def _driven(
-    network: RoadNetwork, source: LaneIndex, target: LaneIndex, speed_mps: float
-) -> _Link:
-    """The path of highway-env's own steering, from the end of one lane onto another."""
-    lane, other = network.get_lane(source), network.get_lane(target)
+def _drawn_out(link: _Link, other: Any, end_m: float) -> FloatArray:
+    """The path of a link, and on along the second lane to an arc length."""
+    return np.concatenate((link.path_xy_m, _samples(other, link.arrive_m, end_m)))
+
+
+def _driven(lane: Any, other: Any, speed_mps: float) -> _Link:
+    """The path of highway-env's own steering at a speed, from the end of one lane onto another."""
+    pair = RoadNetwork()
+    pair.add_lane("a", "b", lane)
+    pair.add_lane("b", "c", other)
     leave_m = min(LOOK_AHEAD_M + 0.5, 0.4 * lane.length)
     begin_m = lane.length - leave_m
     driver = ControlledVehicle(
-        HighwayRoad(network),
+        HighwayRoad(pair),
         lane.position(begin_m, 0.0),
         heading=lane.heading_at(begin_m),
         speed=speed_mps,
-        target_lane_index=source,
     )
     path = [driver.position.copy()]
     s_m, d_m, turning = 0.0, 0.0, False
     while s_m < 0.8 * other.length:
         turning = turning or bool(lane.after_end(driver.position))
-        goal = target if turning else source
+        goal = ("b", "c", 0) if turning else ("a", "b", 0)
         driver.action = {"steering": driver.steering_control(goal), "acceleration": 0.0}
         driver.step(STEERING_S)
         path.append(driver.position.copy())
@@ -252,10 +272,7 @@ def _driven(
 
 
 def _merges(
-    network: RoadNetwork,
-    source: LaneIndex,
-    following: dict[LaneIndex, list[LaneIndex]],
-    speed_mps: float,
+    network: RoadNetwork, source: LaneIndex, following: dict[LaneIndex, list[LaneIndex]]
 ) -> dict[tuple[LaneIndex, LaneIndex], _Link]:
     """Where a lane ends beside another that goes on: a change over to that one by the end."""
     lane: Any = network.get_lane(source)
@@ -265,10 +282,8 @@ def _merges(
         s_m, aside_m = other.local_coordinates(end)
         if not following[beside] or abs(s_m - other.length) > MEET_M or abs(aside_m) > MAX_GAP_M:
             continue
-        leave_m = min(MERGE_S * speed_mps, 0.5 * lane.length)
-        one, two = (
-            _samples(each, each.length - leave_m, each.length) for each in (lane, other)
-        )
+        leave_m = min(MERGE_M, 0.5 * lane.length)
+        one, two = (_samples(each, each.length - leave_m, each.length) for each in (lane, other))
         part = np.linspace(0.0, 1.0, len(one))[:, None]
         part = part * part * (3.0 - 2.0 * part)
         xy_m = (1.0 - part) * one + part * two
@@ -278,10 +293,8 @@ def _merges(
 
 def _between(lane: Any, other: Any, link: _Link, leave_m: float, arrive_m: float) -> FloatArray:
     """The connection: from where the first lane was cut to where the second begins."""
-    parts = [_samples(lane, lane.length - leave_m, lane.length - link.leave_m), link.path_xy_m]
-    if arrive_m > link.arrive_m:
-        parts.append(_samples(other, link.arrive_m, arrive_m))
-    xy_m = np.concatenate(parts)
+    before = _samples(lane, lane.length - leave_m, lane.length - link.leave_m)
+    xy_m = np.concatenate((before, _drawn_out(link, other, max(arrive_m, link.arrive_m))))
     fresh = np.linalg.norm(np.diff(xy_m, axis=0), axis=1) > 1e-3
     return xy_m[np.concatenate(([True], fresh))]
 
@@ -316,9 +329,7 @@ def entries(graph: LaneGraph, network: RoadNetwork) -> tuple[LaneIndex, ...]:
     return tuple(index for index in open_ if index not in shared or index[:2] not in roads)
 
 
-def _is_driven_back(
-    network: RoadNetwork, index: LaneIndex, others: Iterable[LaneIndex]
-) -> bool:
+def _is_driven_back(network: RoadNetwork, index: LaneIndex, others: Iterable[LaneIndex]) -> bool:
     lane: Any = network.get_lane(index)
     middle, heading = lane.position(lane.length / 2, 0.0), lane.heading_at(lane.length / 2)
     for other_index in others:

@@ -16,6 +16,7 @@ import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.utils import class_from_path
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
 
 from hatn_sim.datatypes import DT_S, Route
 from hatn_sim.simulators.highway_lanes import LaneGraph, LaneIndex, ends, entries, lane_id
@@ -28,6 +29,8 @@ CRASH_S: Final = 3.0
 """How long those that crashed stay on the road."""
 STUCK_S: Final = 60.0
 """How long a vehicle may stand."""
+WAIT_S: Final = 1.0
+"""How long a vehicle stands before the end of its lane until it pushes over."""
 STANDING_MPS: Final = 0.1
 BEHIND_M: Final = 80.0
 """How much of the way a vehicle came is kept in its route."""
@@ -73,11 +76,11 @@ class Traffic:
         """`settings` are the environment's and ours, `parameters` those of every driver."""
         self._road: Any = environment.road
         self._random: np.random.Generator = environment.np_random
-        self._graph = graph
+        self.graph = graph
         self._parameters = parameters
         self._driver: Any = class_from_path(settings["other_vehicles_type"])
         self._spawn_per_s: float = settings["spawn_probability"]
-        self._spawn_speed_mps: float | None = settings["spawn_speed_mps"]
+        self._desired_speed_mps: float | None = settings["desired_speed_mps"]
         self._entries = entries(graph, self._road.network)
         self._named = 0
         self.journeys: dict[Vehicle, Journey] = {}
@@ -112,6 +115,15 @@ class Traffic:
                 self._add(vehicle, "ego" if place == 0 else f"ego{place + 1}")
             else:
                 self._add(vehicle)
+            if self._desired_speed_mps is not None:
+                vehicle.target_speed = self._draw_speed_mps(vehicle.lane)
+                vehicle.speed = min(vehicle.speed, vehicle.target_speed)
+
+    def _draw_speed_mps(self, lane: Any) -> float:
+        """The speed that a driver wants: a mean, and a deviation of 1 m/s."""
+        limit_mps = Vehicle.MAX_SPEED if lane.speed_limit is None else lane.speed_limit
+        mean_mps = self._desired_speed_mps or 0.8 * limit_mps
+        return float(np.clip(mean_mps + self._random.normal(), 1.0, limit_mps))
 
     def _add(self, vehicle: Any, name: str | None = None) -> None:
         for key, value in self._parameters.items():
@@ -126,7 +138,7 @@ class Traffic:
 
     def _choose_exit(self, vehicle: Any) -> None:
         """Plans a way to one of the ends of the road; where there is one only, none is needed."""
-        exits = sorted({end[1] for end in ends(self._graph, vehicle.target_lane_index)})
+        exits = sorted({end[1] for end in ends(self.graph, vehicle.target_lane_index)})
         if len(exits) > 1:
             vehicle.plan_route_to(exits[int(self._random.integers(len(exits)))])
 
@@ -146,9 +158,7 @@ class Traffic:
             return ()
         index = self._entries[int(self._random.integers(len(self._entries)))]
         lane = self._road.network.get_lane(index)
-        limit_mps = Vehicle.MAX_SPEED if lane.speed_limit is None else lane.speed_limit
-        mean_mps = self._spawn_speed_mps or 0.8 * limit_mps
-        speed_mps = float(np.clip(mean_mps + self._random.normal(), 1.0, limit_mps))
+        speed_mps = self._draw_speed_mps(lane)
         vehicle = self._driver(
             self._road,
             lane.position(ENTRY_M, 0.0),
@@ -186,7 +196,7 @@ class Traffic:
 
     def _is_at_end(self, vehicle: Any, journey: Journey) -> bool:
         for index in (journey.lane, vehicle.target_lane_index):
-            if not self._graph.successors[index]:
+            if not self.graph.successors[index]:
                 lane = self._road.network.get_lane(index)
                 if lane.local_coordinates(vehicle.position)[0] > lane.length - EXIT_M:
                     return True
@@ -205,7 +215,7 @@ class Traffic:
                     continue
                 driven = journey.path[: journey.position]
                 path = self._plan(target, vehicle.route)
-            elif target[:2] == journey.lane[:2] and not self._is_nearer(vehicle, target, journey):
+            elif not self._is_nearer(vehicle, target, ahead):
                 continue  # a change of lanes that has not come half way
             else:
                 driven = self._driven_beside(journey, target)
@@ -214,23 +224,25 @@ class Traffic:
             journey.path, journey.position, journey.route = fresh.path, fresh.position, fresh.route
 
     def _is_short(self, journey: Journey) -> bool:
-        if not self._graph.successors[journey.path[-1]]:
+        if not self.graph.successors[journey.path[-1]]:
             return False
         left_m = sum(self._length_m(index) for index in journey.path[journey.position + 1 :])
         return left_m < RENEW_M and journey.position > 0
 
-    def _is_nearer(self, vehicle: Any, target: LaneIndex, journey: Journey) -> bool:
+    def _is_nearer(self, vehicle: Any, target: LaneIndex, planned: tuple[LaneIndex, ...]) -> bool:
+        """Nearer to the target than to the lane planned beside it; there may be none."""
         get_lane = self._road.network.get_lane
+        beside = [index for index in planned if index[:2] == target[:2]]
         aside_m = [
             abs(get_lane(index).local_coordinates(vehicle.position)[1])
-            for index in (target, journey.lane)
+            for index in (target, *beside)
         ]
-        return bool(aside_m[0] < aside_m[1])
+        return not beside or bool(aside_m[0] < aside_m[1])
 
     def _driven_beside(self, journey: Journey, target: LaneIndex) -> tuple[LaneIndex, ...]:
         """The lanes driven before the one that is followed now, if they lead to the other too."""
         driven = journey.path[: journey.position]
-        leads = bool(driven) and target in self._graph.successors[driven[-1]]
+        leads = bool(driven) and target in self.graph.successors[driven[-1]]
         return driven if leads else ()
 
     def _journey(
@@ -238,7 +250,7 @@ class Traffic:
     ) -> Journey:
         behind = self._behind(driven, path)
         whole = behind + path
-        return Journey(name, whole, len(behind), self._graph.route(whole))
+        return Journey(name, whole, len(behind), self.graph.route(whole))
 
     def _behind(
         self, driven: tuple[LaneIndex, ...], path: tuple[LaneIndex, ...]
@@ -251,7 +263,7 @@ class Traffic:
             first = chain[0] if chain else path[0]
             before = [
                 index
-                for index in self._graph.predecessors[first]
+                for index in self.graph.predecessors[first]
                 if index not in chain and index not in path
             ]
             if not before:
@@ -268,7 +280,7 @@ class Traffic:
         while length_m < AHEAD_M:
             following = [
                 index
-                for index in self._graph.successors[path[-1]]
+                for index in self.graph.successors[path[-1]]
                 if index[:2] == roads.get(path[-1][1], index[:2]) and index not in path
             ]
             if not following:
@@ -283,7 +295,7 @@ class Traffic:
         return float(get_lane(other).distance(end))
 
     def _length_m(self, lane: LaneIndex) -> float:
-        return self._graph.length_m[lane_id(lane)]
+        return self.graph.length_m[lane_id(lane)]
 
 
 def drive(traffic: Traffic, accelerations_mps2: Mapping[str, float], step_s: float) -> None:
@@ -292,11 +304,35 @@ def drive(traffic: Traffic, accelerations_mps2: Mapping[str, float], step_s: flo
     Those with a command take its acceleration and keep their own steering. Nobody drives
     backwards: its IDM does, to open a gap when it stands too close.
     """
-    road: Any = traffic.road
+    road = traffic.road
     road.act()
     for vehicle, journey in traffic.journeys.items():
         if vehicle.crashed:
             continue
+        if journey.lane in traffic.graph.merging:
+            _change_over(road, vehicle, is_waiting=journey.stood_s > WAIT_S)
         wanted = accelerations_mps2.get(journey.name, vehicle.action["acceleration"])
         vehicle.action["acceleration"] = max(wanted, -max(vehicle.speed, 0.0) / step_s)
     road.step(step_s)
+
+
+def _change_over(road: Any, vehicle: Any, is_waiting: bool) -> None:
+    """Lets a driver out of a lane that ends, who would stand before its end for ever.
+
+    highway-env's drivers begin no change of lanes from a standstill, and in a change they mind the
+    end of the lane that they leave. MOBIL still says whether there is room.
+    """
+    if is_waiting and vehicle.target_lane_index == vehicle.lane_index:
+        for beside in road.network.side_lanes(vehicle.lane_index):
+            if vehicle.mobil(beside):
+                vehicle.target_lane_index = beside
+    if vehicle.target_lane_index != vehicle.lane_index:
+        ahead = [
+            road.neighbour_vehicles(vehicle, index)[0]
+            for index in (vehicle.lane_index, vehicle.target_lane_index)
+        ]
+        wanted = min(
+            vehicle.acceleration(vehicle, None if isinstance(front, Obstacle) else front)
+            for front in ahead
+        )
+        vehicle.action["acceleration"] = np.clip(wanted, -vehicle.ACC_MAX, vehicle.ACC_MAX)
