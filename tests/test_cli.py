@@ -139,7 +139,7 @@ def test_a_duration_that_is_none(refused: Callable[..., str], value: str) -> Non
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("run",), "the following arguments are required: SCENE"),
+        (("run",), "name a SCENE, or give --tracks FILE --map FILE"),
         (("run", "intersection5", "--sede", "1"), "unrecognized arguments: --sede 1"),
         (("run", "intersection5", "--seed", "one"), "argument --seed: invalid int value: 'one'"),
         (("run", "intersection5", *CV, "--seed", "-1"), "seed: expected 0 to 2147483647, found -1"),

@@ -28,7 +28,7 @@ ONLY_IN = {
 
 LAYERS = (
     ("", "datatypes", "errors", "geometry", "resources"),
-    ("config", "conflicts", "road", "simulators"),
+    ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
     ("graph", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
     ("learn", "log", "loop", "recordings", "report", "score", "traffic"),

@@ -9,7 +9,7 @@ from conftest import crossing_lanes, lane
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hatn_sim.datatypes import ConflictType, Kind
+from hatn_sim.datatypes import ConflictType, FloatArray, Kind
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
 from hatn_sim.road import LINE_STEP_M, Road
 
@@ -86,11 +86,52 @@ def test_two_lines_may_conflict_twice() -> None:
 
 
 def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None:
-    first = np.array([crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH)])
-    table = crossing.conflict_table(first, first[::-1])
-    np.testing.assert_array_equal(table[0, 0, :3], table[1, 0, 3:6])
-    np.testing.assert_array_equal(table[0, 0, 3:6], table[1, 0, :3])
-    assert np.isinf(table[:, 1:]).all()
+    lines = np.array([crossing.line(r) for r in (WEST_NORTH, SOUTH_NORTH, WEST_EAST)])
+    first, second = np.array([0, 1, 0, 0, 2]), np.array([1, 0, 2, 0, 1])
+    found = crossing.conflict_table.of_pairs(lines[first], lines[second])
+    # A merge both ways round, nothing where they diverge or are one, a crossing.
+    assert found.pair.tolist() == [0, 1, 4]
+    assert found.type.tolist() == [ConflictType.MERGE, ConflictType.MERGE, ConflictType.CROSS]
+    for sides in (found.entry_s_m, found.point_s_m, found.exit_s_m):
+        np.testing.assert_array_equal(sides[0], sides[1, ::-1])
+    (alone,) = crossing.conflicts(int(lines[2]), int(lines[1]))
+    np.testing.assert_array_equal(found.point_s_m[2], alone.point_s_m)
+    np.testing.assert_array_equal(found.entry_s_m[2], alone.entry_s_m)
+    np.testing.assert_array_equal(found.exit_s_m[2], alone.exit_s_m)
+
+
+def vertices(road: Road, line: int) -> FloatArray:
+    """[P, 2]"""
+    return road.xy_m[road.offset[line] : road.offset[line] + road.count[line]].copy()
+
+
+def test_lines_not_in_use_are_let_go_and_their_numbers_used_again(crossing: Road) -> None:
+    kept, gone = crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH)
+    pair = np.array([kept]), np.array([gone])
+    before = crossing.conflict_table.of_pairs(*pair).point_s_m
+    xy_m, count = vertices(crossing, kept), len(crossing.conflict_table)
+    for _ in range(4):
+        crossing.touch(np.array([[kept, -1]]))
+    crossing.release(idle_frames=4)
+    assert crossing.line(SOUTH_NORTH) == gone and len(crossing.conflict_table) == count
+    for _ in range(5):
+        crossing.touch(np.array([[kept, -1]]))
+    crossing.release(idle_frames=4)
+    assert len(crossing.conflict_table) == 0
+    other = crossing.line(WEST_EAST)
+    assert other == gone and crossing.lines[gone].route == WEST_EAST
+    fresh = Road(crossing.lanes.values())
+    alone = fresh.line(WEST_EAST)
+    np.testing.assert_array_equal(vertices(crossing, other), vertices(fresh, alone))
+    for name in ("gate_s_m", "fork_s_m", "fork_turn"):
+        np.testing.assert_array_equal(getattr(crossing, name)[other], getattr(fresh, name)[alone])
+    np.testing.assert_array_equal(vertices(crossing, kept), xy_m)
+    again = crossing.line(SOUTH_NORTH)
+    assert again not in (kept, other)
+    found = crossing.conflict_table.of_pairs(np.array([kept]), np.array([again]))
+    np.testing.assert_array_equal(found.point_s_m, before)
+    # West to east diverges from west to north: nothing is left over from the pair before.
+    assert not len(crossing.conflict_table.of_pairs(*pair).pair)
 
 
 @given(
@@ -115,7 +156,7 @@ def test_frenet_and_back(s: float, d: float, angle: float, shift: tuple[float, f
 
 def test_projection_agrees_with_shapely(crossing: Road) -> None:
     index = crossing.line(WEST_NORTH)
-    curve = shapely.LineString(crossing.xy_m[index, : crossing.count[index]])
+    curve = shapely.LineString(vertices(crossing, index))
     random = np.random.default_rng(3)
     xy = np.column_stack((random.uniform(-60, 4, 200), random.uniform(-4, 60, 200)))
     line = np.full(200, index)
@@ -156,5 +197,6 @@ def test_gates_and_forks_lie_where_the_lanes_end(crossing: Road) -> None:
 def test_curvature_is_that_of_the_arc(crossing: Road) -> None:
     index = crossing.line(WEST_NORTH)
     middle = int((100.0 + 2.0 * np.pi) / LINE_STEP_M)
-    np.testing.assert_allclose(crossing.curvature_per_m[index, middle], 1.0 / 8.0, rtol=0.03)
-    assert abs(crossing.curvature_per_m[index, 100]) < 1e-9
+    middle += crossing.offset[index]
+    np.testing.assert_allclose(crossing.curvature_per_m[middle], 1.0 / 8.0, rtol=0.03)
+    assert abs(crossing.curvature_per_m[crossing.offset[index] + 100]) < 1e-9

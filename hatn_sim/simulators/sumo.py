@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -162,7 +163,8 @@ class SumoSimulator:
 
     def _frame(self, raw: RawFrame) -> Frame:
         self._time_s, self.sumo_s = raw.time_s, raw.sumo_s
-        self._routes.extend(raw.new_routes)
+        # Every route comes with strings of its own: in a city they would fill the memory.
+        self._routes.extend(tuple(map(sys.intern, route)) for route in raw.new_routes)
         rows = raw.rows
         numbers = rows[:, 7:11].astype(np.int64)
         scene = Scene(
