@@ -41,7 +41,9 @@ class Closeness:
     within_1_m: float | None  # share of those with a line
 
 
-def measure_fidelity(frames: Iterable[Frame], road: Road, warm_up_s: float = 0.0) -> list[Closeness]:
+def measure_fidelity(
+    frames: Iterable[Frame], road: Road, warm_up_s: float = 0.0
+) -> list[Closeness]:
     """Closeness in every mode and state, over the frames after the first `warm_up_s` seconds."""
     states = [begin(road), begin(road)]
     rows: list[tuple[int, float, float, float]] = []  # vehicle, time, |d| by route and inferred

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -102,7 +102,7 @@ def make_environment(
 
 
 @contextmanager
-def own_drivers(settings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def own_drivers(settings: Mapping[str, Any]) -> Generator[dict[str, Any]]:
     """What the body sets on the class of the drivers is undone, and found in the yielded dict.
 
     highway-env's intersection changes the parameters of all drivers of a process.

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -78,7 +79,7 @@ class LaneGraph:
     def route(self, path: Sequence[LaneIndex]) -> Route:
         """The lanes, connections included, along linked lanes of highway-env."""
         names = [lane_id(path[0])] if path else []
-        for source, target in zip(path, path[1:], strict=False):
+        for source, target in pairwise(path):
             link = link_id(source, target)
             names += [link, lane_id(target)] if link in self._by_id else [lane_id(target)]
         return tuple(names)
@@ -215,7 +216,8 @@ def _next_lanes(network: RoadNetwork, index: LaneIndex) -> list[LaneIndex]:
 
 
 def _link(network: RoadNetwork, source: LaneIndex, target: LaneIndex) -> _Link:
-    lane, other = network.get_lane(source), network.get_lane(target)
+    lane: Any = network.get_lane(source)
+    other: Any = network.get_lane(target)
     gap_m = np.linalg.norm(other.position(0.0, 0.0) - lane.position(lane.length, 0.0))
     turned_rad = wrap_angle(np.asarray(other.heading_at(0.0) - lane.heading_at(lane.length)))
     if gap_m < MEET_M and abs(turned_rad) < MEET_RAD:
@@ -223,9 +225,7 @@ def _link(network: RoadNetwork, source: LaneIndex, target: LaneIndex) -> _Link:
     limits = [one.speed_limit for one in (lane, other) if one.speed_limit is not None]
     fastest_mps = min(limits, default=np.inf)
     ways = [
-        _driven(lane, other, speed_mps)
-        for speed_mps in PATH_SPEEDS_MPS
-        if speed_mps <= fastest_mps
+        _driven(lane, other, speed_mps) for speed_mps in PATH_SPEEDS_MPS if speed_mps <= fastest_mps
     ]
     # All are drawn out to the same end, so that their distances are of the paths alone.
     end_m = max(way.arrive_m for way in ways)
@@ -246,7 +246,7 @@ def _driven(lane: Any, other: Any, speed_mps: float) -> _Link:
     pair.add_lane("b", "c", other)
     leave_m = min(LOOK_AHEAD_M + 0.5, 0.4 * lane.length)
     begin_m = lane.length - leave_m
-    driver = ControlledVehicle(
+    driver: Any = ControlledVehicle(
         HighwayRoad(pair),
         lane.position(begin_m, 0.0),
         heading=lane.heading_at(begin_m),

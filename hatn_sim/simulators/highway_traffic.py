@@ -83,7 +83,7 @@ class Traffic:
         self._desired_speed_mps: float | None = settings["desired_speed_mps"]
         self._entries = entries(graph, self._road.network)
         self._named = 0
-        self.journeys: dict[Vehicle, Journey] = {}
+        self.journeys: dict[Any, Journey] = {}
         self._take_over(environment)
 
     @property

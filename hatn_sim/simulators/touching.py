@@ -25,7 +25,10 @@ def touching_pairs(scene: Scene, margin_m: float = 0.0) -> tuple[tuple[str, str]
     gap_m -= _half_widths_m(axes, sides[first], scene.size_m[first])
     gap_m -= _half_widths_m(axes, sides[second], scene.size_m[second])
     touch = gap_m.max(axis=1, initial=-np.inf) <= margin_m
-    names = [sorted((scene.ids[i], scene.ids[j])) for i, j in zip(first[touch], second[touch])]
+    names = [
+        sorted((scene.ids[i], scene.ids[j]))
+        for i, j in zip(first[touch], second[touch], strict=True)
+    ]
     return tuple(sorted((one, other) for one, other in names))
 
 
