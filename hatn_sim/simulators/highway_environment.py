@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,6 +38,19 @@ COUNTS: Final = ("vehicles_count", "initial_vehicle_count", "other_vehicles")
 """Settings that say how many vehicles there are at the beginning."""
 DRAWN_IF_ZERO: Final = {"length": 150, "no_lanes": 4}
 """racetrack-large draws these anew at every reset, not from the seed, where they are 0."""
+
+DRIVERS: Final = tuple(
+    f"{behavior.__name__}.{name}"
+    for name, found in vars(behavior).items()
+    if isinstance(found, type) and issubclass(found, behavior.IDMVehicle)
+)
+RANGES: Final = {
+    **dict.fromkeys(COUNTS, "a whole number from 0 on"),
+    "controlled_vehicles": "a whole number from 1 on",
+    "spawn_probability": "a number from 0 to 1",
+    "desired_speed_mps": "a positive number",
+}
+"""What is expected of settings that are numbers, where any number will not do."""
 
 
 def known_environments() -> tuple[str, ...]:
@@ -92,8 +104,6 @@ def make_environment(
     try:
         with own_drivers(settings):
             return creator(config=own), settings, notices
-    except InputError:
-        raise
     except Exception as error:  # highway-env checks little of what it is given
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
@@ -111,9 +121,7 @@ def own_drivers(settings: Mapping[str, Any]) -> Generator[dict[str, Any]]:
     before = dict(vars(driver))
     changed: dict[str, Any] = {}
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)
-            yield changed
+        yield changed
     finally:
         for key, value in list(vars(driver).items()):
             if key not in before:
@@ -138,20 +146,6 @@ def _check(path: Path, settings: Mapping[str, Any], defaults: Mapping[str, Any])
             raise InputError(f"{where}: expected {expected}, found {value!r}; correct it")
         if key == "other_vehicles_type" and value not in DRIVERS:
             raise InputError(f"{where}: unknown driver {value!r}{nearest(value, DRIVERS)}")
-
-
-DRIVERS: Final = tuple(
-    f"{behavior.__name__}.{name}"
-    for name, found in vars(behavior).items()
-    if isinstance(found, type) and issubclass(found, behavior.IDMVehicle)
-)
-RANGES: Final = {
-    **dict.fromkeys(COUNTS, "a whole number from 0 on"),
-    "controlled_vehicles": "a whole number from 1 on",
-    "spawn_probability": "a number from 0 to 1",
-    "desired_speed_mps": "a positive number",
-}
-"""What is expected of settings that are numbers, where any number will not do."""
 
 
 def _expected(default: Any) -> str:

@@ -115,6 +115,7 @@ class Traffic:
                 self._add(vehicle, "ego" if place == 0 else f"ego{place + 1}")
             else:
                 self._add(vehicle)
+            self._tune(vehicle)
             if self._desired_speed_mps is not None:
                 vehicle.target_speed = self._draw_speed_mps(vehicle.lane)
                 vehicle.speed = min(vehicle.speed, vehicle.target_speed)
@@ -125,9 +126,11 @@ class Traffic:
         mean_mps = self._desired_speed_mps or 0.8 * limit_mps
         return float(np.clip(mean_mps + self._random.normal(), 1.0, limit_mps))
 
-    def _add(self, vehicle: Any, name: str | None = None) -> None:
+    def _tune(self, vehicle: Any) -> None:
         for key, value in self._parameters.items():
             setattr(vehicle, key, value)
+
+    def _add(self, vehicle: Any, name: str | None = None) -> None:
         if name is None:
             self._named += 1
             name = f"v{self._named}"
@@ -166,8 +169,7 @@ class Traffic:
             speed_mps,
             target_lane_index=index,
         )
-        for key, value in self._parameters.items():
-            setattr(vehicle, key, value)
+        self._tune(vehicle)
         room_m = vehicle.DISTANCE_WANTED + speed_mps * vehicle.TIME_WANTED
         away = [np.linalg.norm(v.position - vehicle.position) for v in self._road.vehicles]
         if min(away, default=np.inf) < room_m:
