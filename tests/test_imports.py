@@ -29,12 +29,12 @@ ONLY_IN = {
 """Package -> the modules, or packages of modules, that may import it."""
 
 LAYERS = (
-    ("", "datatypes", "errors", "geometry", "resources"),
+    ("", "datatypes", "errors", "geometry", "plugins", "resources"),
     ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
     ("graph", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
     ("learn", "log", "loop", "recordings", "report", "score", "traffic"),
-    ("bench", "cli", "commands", "envs"),
+    ("bench", "bench_scaling", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 
