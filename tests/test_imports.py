@@ -12,14 +12,16 @@ import hatn_sim
 
 PACKAGE = Path(hatn_sim.__file__).parent
 
+HIGHWAY = tuple(f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_traffic"))
+
 ONLY_IN = {
     "torch": ("hatn", "learn"),
     "safetensors": ("hatn", "learn"),
     "libsumo": ("simulators.sumo_worker",),
     "traci": (),
     "sumolib": (),
-    "highway_env": ("simulators.highway",),
-    "gymnasium": ("envs", "simulators.highway"),
+    "highway_env": HIGHWAY,
+    "gymnasium": ("envs", *HIGHWAY),
     "pyarrow": ("log", "recordings"),
     "pyproj": ("recordings",),
     "lanelet2": (),
