@@ -4,6 +4,7 @@ It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_pro
 over its standard input and output. The first message it reads are SUMO's options; it answers with
 `Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
 commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
+`AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
 """
 
@@ -26,9 +27,19 @@ from hatn_sim.simulators.sumo_lanes import (
     KIND_OF_CLASS,
     LaneTable,
     Link,
+    is_connection,
     kinds_of,
 )
-from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
+from hatn_sim.simulators.sumo_messages import (
+    AskFoes,
+    AskLaneFoes,
+    Failed,
+    JunctionFoes,
+    LaneFoes,
+    RawFrame,
+    Refused,
+    Started,
+)
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
 
 OBEY_SPEED_MODE = 32
@@ -111,6 +122,7 @@ class Simulation:
         self._commanded: set[str] = set()
         self._speeds_mps: dict[str, float] = {}
         self._sumo_s = 0.0
+        self._lane_row = {name: row for row, name in enumerate(self.lane_table.ids)}
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -171,6 +183,65 @@ class Simulation:
             teleported=tuple(simulation.getStartingTeleportIDList()),
             done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
             sumo_s=self._sumo_s,
+        )
+
+    def junction_foes(self, reach_m: float) -> JunctionFoes:
+        """What SUMO says of the conflicts of every vehicle within `reach_m` ahead of it."""
+        row_of = {
+            name: row
+            for row, name in enumerate(
+                name
+                for name in libsumo.vehicle.getIDList()
+                if libsumo.vehicle.getPosition(name)[0] >= INVALID_M
+            )
+        }
+        lane_row = self._lane_row
+        pairs: list[tuple[int, ...]] = []
+        distances: list[tuple[float, ...]] = []
+        approaches: list[tuple[int, int]] = []
+        approach_m: list[float] = []
+        for name, row in row_of.items():
+            for foe, enter, foe_enter, leave, foe_leave, lane, foe_lane, _, _ in (
+                libsumo.vehicle.getJunctionFoes(name, reach_m)
+            ):
+                if foe in row_of:
+                    lanes = (lane_row.get(lane, -1), lane_row.get(foe_lane, -1))
+                    pairs.append((row, row_of[foe], *lanes))
+                    distances.append((enter, foe_enter, leave, foe_leave))
+            for lane, ahead_m in _connections_ahead(name, reach_m):
+                approaches.append((row, lane_row.get(lane, -1)))
+                approach_m.append(ahead_m)
+        pair_rows = np.array(pairs, np.int64).reshape(-1, 4)
+        distance_rows = np.array(distances, np.float64).reshape(-1, 4)
+        approach_rows = np.array(approaches, np.int64).reshape(-1, 2)
+        return JunctionFoes(
+            vehicle=pair_rows[:, :2],
+            lane=pair_rows[:, 2:],
+            enter_m=distance_rows[:, :2],
+            leave_m=distance_rows[:, 2:],
+            approach_vehicle=approach_rows[:, 0],
+            approach_lane=approach_rows[:, 1],
+            approach_m=np.array(approach_m, np.float64),
+        )
+
+    def lane_foes(self) -> LaneFoes:
+        """What SUMO's junction logic holds against each other: lanes inside, and approaches."""
+        row_of = self._lane_row
+        inside: list[tuple[int, ...]] = []
+        approaching: list[tuple[int, ...]] = []
+        for name, row in row_of.items():
+            if is_connection(name):
+                foes = libsumo.lane.getInternalFoes(name)
+                inside += [(row, row_of[foe]) for foe in foes if foe in row_of]
+                continue
+            for approached, *_ in libsumo.lane.getLinks(name):
+                target = row_of.get(approached)
+                if target is not None:
+                    foes = libsumo.lane.getFoes(name, approached)
+                    approaching += [(row, target, row_of[foe]) for foe in foes if foe in row_of]
+        return LaneFoes(
+            inside=np.array(inside, np.int64).reshape(-1, 2),
+            approaching=np.array(approaching, np.int64).reshape(-1, 3),
         )
 
     def _emergency_braking(
@@ -272,6 +343,41 @@ def _edges_and_lanes(vehicle: str) -> tuple[Sequence[str], set[str]]:
     return edges, {link[0] for link in libsumo.vehicle.getNextLinks(vehicle)}
 
 
+def _connections_ahead(vehicle: str, reach_m: float) -> list[tuple[str, float]]:
+    """First lanes of the ways through the junctions ahead, with the distance to their begin.
+
+    The junction that the vehicle is in comes first, with a distance that is not positive.
+    """
+    lane: str = libsumo.vehicle.getLaneID(vehicle)
+    if not lane:
+        return []
+    found: list[tuple[str, float]] = []
+    ahead_m = -libsumo.vehicle.getLanePosition(vehicle)
+    if is_connection(lane):  # SUMO's links begin behind the lane that follows
+        found.append((lane, ahead_m))
+        lane, through_m = _through_junction(lane)
+        ahead_m += through_m
+    ahead_m += libsumo.lane.getLength(lane)
+    for approached, _, _, _, via, _, _, _ in libsumo.vehicle.getNextLinks(vehicle):
+        if ahead_m > reach_m:
+            break
+        if via:
+            found.append((via, ahead_m))
+            ahead_m += _through_junction(via)[1]
+        ahead_m += libsumo.lane.getLength(approached)
+    return found
+
+
+def _through_junction(lane: str) -> tuple[str, float]:
+    """The lane behind the junction that `lane` is in, and the length of the way there."""
+    length_m = 0.0
+    while is_connection(lane):
+        length_m += libsumo.lane.getLength(lane)
+        approached, _, _, _, via, *_ = libsumo.lane.getLinks(lane)[0]
+        lane = via or approached
+    return lane, length_m
+
+
 def _gap_to_lane_end_m(vehicle: str) -> float:
     lane_id = libsumo.vehicle.getLaneID(vehicle)
     length_m: float = libsumo.lane.getLength(lane_id)
@@ -307,16 +413,26 @@ def _serve(requests: Any, replies: Any) -> None:
     try:
         reply(Started(simulation.lane_table, simulation.observe()))
         while True:
-            commands = pickle.load(requests)
+            message = pickle.load(requests)
             try:
-                simulation.step(commands)
-                frame = simulation.observe()
+                answer = _answer(simulation, message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                 reply(Failed(str(error)))
                 return
-            reply(frame)
+            reply(answer)
     finally:
         libsumo.close()  # finishes the output files that a user's configuration asks for
+
+
+def _answer(simulation: Simulation, message: object) -> RawFrame | JunctionFoes | LaneFoes:
+    match message:
+        case AskFoes(reach_m):
+            return simulation.junction_foes(reach_m)
+        case AskLaneFoes():
+            return simulation.lane_foes()
+        case _:
+            simulation.step(message)  # type: ignore[arg-type]  # a list of commands
+            return simulation.observe()
 
 
 if __name__ == "__main__":
