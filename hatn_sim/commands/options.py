@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
+from typing import Final
+
+WARM_UP_S: Final = 60.0
+"""For traffic to build up in a shipped scene, unless told otherwise."""
 
 
 def seconds(text: str) -> float:

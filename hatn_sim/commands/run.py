@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hatn_sim.commands.options import add_traffic, names, seconds, seconds_or_none
+from hatn_sim.commands.options import WARM_UP_S, add_traffic, names, seconds, seconds_or_none
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,7 +30,6 @@ EXAMPLES = """examples:
   hatn-sim run roundabout8 --duration 120 --compare constant_velocity,idm --seed 7
   hatn-sim run my/town.sumocfg --egos bus_12,car_3 --out runs/town
 """
-WARM_UP_S = 60.0
 STEP_S = 0.1
 
 

@@ -15,7 +15,9 @@ from typing import Final
 import numpy as np
 from scipy.spatial import KDTree
 
+from hatn_sim.conflicts import OPPOSITE_RAD
 from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray, IntArray
+from hatn_sim.geometry import wrap_angle
 from hatn_sim.road import LINE_STEP_M, MAX_CONFLICTS, Road
 from hatn_sim.score.oracle_lanes import NOWHERE, JunctionLanes, junction_spans
 from hatn_sim.simulators.sumo_messages import JunctionFoes
@@ -45,6 +47,7 @@ class Outcome(IntEnum):
     UNANNOUNCED = 10
     CUT_SHORT = 11
     RIGHT_OF_WAY_ONLY = 12
+    HEAD_ON = 13
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +99,9 @@ class _Ours:
     table: FloatArray  # [M, Q, 7] see Road.conflict_table
     here: BoolArray  # [M, Q] the conflict belongs to the meeting's junction
     ahead: BoolArray  # [M, Q] neither front bumper is beyond it
+    head_on: BoolArray  # [M, Q] they run against each other there
     stray: IntArray  # [R, 2] pairs with a conflict ahead at none of their junctions
+    stray_outcome: IntArray  # [R] Outcome
 
 
 class Oracle:
@@ -119,14 +124,13 @@ class Oracle:
         outcome = self._outcome(moment, meetings, listed, ours)
         outcome[no_route & (outcome == Outcome.ONLY_SUMO)] = Outcome.NO_ROUTE
         outcome[same_lane] = Outcome.SAME_LANE_BEFORE
-        stray = np.full(len(ours.stray), int(Outcome.ONLY_OURS_NO_JUNCTION))
         asked, place_m, entry_m, waiting = self._distances(
             moment, meetings, listed, ours, outcome == Outcome.BOTH
         )
         return Compared(
             vehicle=np.concatenate((meetings.vehicle, ours.stray)),
             way=np.concatenate((meetings.way, np.full(ours.stray.shape, -1))),
-            outcome=np.concatenate((outcome, stray)),
+            outcome=np.concatenate((outcome, ours.stray_outcome)),
             distance_vehicle=asked,
             place_error_m=place_m,
             entry_error_m=entry_m,
@@ -150,6 +154,7 @@ class Oracle:
         outcome[missed] = [self._only_sumo(moment, meetings, row) for row in missed.tolist()]
         alone = ours_ahead & ~in_sumo
         outcome[alone] = Outcome.ONLY_OURS
+        outcome[alone & ~(ours.here & ours.ahead & ~ours.head_on).any(axis=1)] = Outcome.HEAD_ON
         outcome[alone & lanes.cross_right_of_way(meetings.way)] = Outcome.RIGHT_OF_WAY_ONLY
         foes, listable = lanes.are_foes(meetings.way), _listable(lanes, meetings)
         owed = (listable & _announced(lanes, moment.foes, meetings)[:, ::-1]).any(axis=1)
@@ -195,8 +200,28 @@ class Oracle:
         # Nearer than the reach by what a conflict may lie before its junction.
         close = (entry - front <= REACH_M - NEAR_JUNCTION_M).all(axis=2)
         close &= there & (entry > front).all(axis=2)
-        stray = (close & ~(nearest_m <= NEAR_JUNCTION_M)).any(axis=1)
-        return _Ours(table[row], here, ahead[row], np.stack((one, other), axis=1)[stray])
+        unclaimed = close & ~(nearest_m <= NEAR_JUNCTION_M)
+        stray = unclaimed.any(axis=1)
+        head_on = self._run_against(moment.line[one], moment.line[other], table)
+        against = (~unclaimed | head_on).all(axis=1)
+        return _Ours(
+            table=table[row],
+            here=here,
+            ahead=ahead[row],
+            head_on=head_on[row],
+            stray=np.stack((one, other), axis=1)[stray],
+            stray_outcome=np.where(against, Outcome.HEAD_ON, Outcome.ONLY_OURS_NO_JUNCTION)[stray],
+        )
+
+    def _run_against(self, one: IntArray, other: IntArray, table: FloatArray) -> BoolArray:
+        """Whether lines [P] have opposite directions at their conflicts [P, Q, 7]."""
+        pair, which = np.nonzero(np.isfinite(table[:, :, 0]))
+        at = table[pair, which]
+        turned = self._road.line_yaw_rad(one[pair], at[:, 1])
+        turned -= self._road.line_yaw_rad(other[pair], at[:, 4])
+        against = np.zeros(table.shape[:2], dtype=np.bool_)
+        against[pair, which] = np.abs(wrap_angle(turned)) > OPPOSITE_RAD
+        return against
 
     def _gap_m(
         self, moment: Moment, meetings: _Meetings, entry: FloatArray, end: FloatArray

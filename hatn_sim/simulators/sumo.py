@@ -116,7 +116,8 @@ class SumoSimulator:
 
         Raises SimulatorError where SUMO fails or dies; the simulator is closed then.
         """
-        answer = self._inquire([(command.ego_id, command.acceleration_mps2) for command in commands])
+        wanted = [(command.ego_id, command.acceleration_mps2) for command in commands]
+        answer = self._inquire(wanted)
         assert isinstance(answer, RawFrame)
         return self._frame(answer)
 
@@ -130,7 +131,10 @@ class SumoSimulator:
         return answer
 
     def lane_foes(self) -> LaneFoes:
-        """What SUMO's junctions hold against each other, whoever is there. Raises as `step` does."""
+        """What SUMO's junctions hold against each other, whoever is there.
+
+        Raises as `step` does.
+        """
         answer = self._inquire(AskLaneFoes())
         assert isinstance(answer, LaneFoes)
         return answer

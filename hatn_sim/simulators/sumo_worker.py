@@ -201,9 +201,17 @@ class Simulation:
         approaches: list[tuple[int, int]] = []
         approach_m: list[float] = []
         for name, row in row_of.items():
-            for foe, enter, foe_enter, leave, foe_leave, lane, foe_lane, _, _ in (
-                libsumo.vehicle.getJunctionFoes(name, reach_m)
-            ):
+            for (
+                foe,
+                enter,
+                foe_enter,
+                leave,
+                foe_leave,
+                lane,
+                foe_lane,
+                _,
+                _,
+            ) in libsumo.vehicle.getJunctionFoes(name, reach_m):
                 if foe in row_of:
                     lanes = (lane_row.get(lane, -1), lane_row.get(foe_lane, -1))
                     pairs.append((row, row_of[foe], *lanes))
