@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from hatn_sim.datatypes import FloatArray, Score
+from hatn_sim.datatypes import BoolArray, FloatArray, Score
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
 from hatn_sim.score.intervals import cluster_sums, interval, ratio
 from hatn_sim.score.oracle import Compared, Outcome
@@ -66,14 +66,11 @@ class Tally:
         if len(compared.outcome):
             first = number[compared.vehicle[:, 0]]
             self._outcomes.append(np.stack((compared.outcome, first), axis=1).astype(np.float64))
-        if len(compared.distance_vehicle):
-            columns = (
-                compared.place_error_m,
-                compared.entry_error_m,
-                number[compared.distance_vehicle],
-            )
+        errors = compared.distances
+        if len(errors.vehicle):
+            columns = (errors.place_m, errors.entry_m, number[errors.vehicle])
             self._distances.append(np.stack(columns, axis=1).astype(np.float64))
-        self._waiting += compared.waiting_places
+        self._waiting += errors.waiting_places
         for row in np.flatnonzero(np.isin(compared.outcome, ERRORS)).tolist():
             one, other = sorted(compared.way[row].tolist())
             self._ways[Outcome(int(compared.outcome[row])), one, other] += 1
@@ -137,11 +134,9 @@ def _columns(parts: Sequence[FloatArray], count: int) -> FloatArray:
     return np.concatenate((np.zeros((0, count)), *parts)).T
 
 
-def _share(
-    measure: str, scene: str, hit: FloatArray, miss: FloatArray, vehicle: FloatArray
-) -> Score:
+def _share(measure: str, scene: str, hit: BoolArray, miss: BoolArray, vehicle: FloatArray) -> Score:
     """Hits among hits and misses; the interval is bootstrapped over vehicles."""
-    of_it = hit.astype(np.bool_) | miss.astype(np.bool_)
+    of_it = hit | miss
     n = int(of_it.sum())
     if not n:
         return _score(measure, scene, None, "1", 0, None)
