@@ -68,7 +68,7 @@ def find_conflicts(
             continue
         if contact.runs_against():
             found.append(contact.head_on())
-        elif contact.has_other_directions():
+        elif not contact.passes_by():
             conflict = _meet(contact, first_xy_m, second_xy_m, step_m)
             if conflict is not None:
                 found.append(conflict)
@@ -81,7 +81,7 @@ class _Contact:
 
     distance_m: FloatArray  # [I, J] inf where the pair is not in the set
     turned_rad: FloatArray  # [I, J] between the directions, 0 ... pi
-    offset_m: FloatArray  # [I, J] of the first line's vertex beside the second's tangent
+    offset_m: FloatArray  # [I, J] of the first line's vertex, left of the second's tangent
     box: tuple[slice, slice]
     shape: tuple[int, ...]  # of all pairs
     step_m: float
@@ -103,8 +103,12 @@ class _Contact:
         """They are one lane, driven in opposite directions."""
         return self._is_one_lane(self.turned_rad > OPPOSITE_RAD)
 
-    def has_other_directions(self) -> bool:
-        return bool((np.isfinite(self.distance_m) & (self.turned_rad <= OPPOSITE_RAD)).any())
+    def passes_by(self) -> bool:
+        """They only drive in opposite directions and each stays on its side."""
+        if (np.isfinite(self.distance_m) & (self.turned_rad <= OPPOSITE_RAD)).any():
+            return False
+        first, last = (self.offset_m[k, self.distance_m[k].argmin()] for k in (0, -1))
+        return bool(first * last > 0.0 or min(abs(first), abs(last)) < SAME_PLACE_M)
 
     def merges(self) -> bool:
         aligned = np.isfinite(self.distance_m) & (self.turned_rad < ALIGNED_RAD)
@@ -127,7 +131,7 @@ class _Contact:
         """Whether they stay as near as one lane's centre lines, in the wanted directions [I, J]."""
         rows = np.arange(len(self.distance_m))
         nearest = self.distance_m.argmin(axis=1)
-        beside_m = np.where(wanted[rows, nearest], self.offset_m[rows, nearest], np.inf)
+        beside_m = np.where(wanted[rows, nearest], np.abs(self.offset_m[rows, nearest]), np.inf)
         return any(
             float((beside_m < apart_m).sum()) * self.step_m >= for_m
             for apart_m, for_m in ONE_LANE_M
@@ -135,9 +139,9 @@ class _Contact:
 
 
 def _offset_m(one_xy_m: FloatArray, other_xy_m: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """How far points [I, 2] lie beside the tangents at vertices [J, 2] of a line [I, J]."""
+    """How far points [I, 2] lie left of the tangents at vertices [J, 2] of a line [I, J]."""
     away = one_xy_m[:, None] - other_xy_m[None]
-    return np.abs(away[..., 1] * np.cos(yaw_rad) - away[..., 0] * np.sin(yaw_rad))
+    return np.asarray(away[..., 1] * np.cos(yaw_rad) - away[..., 0] * np.sin(yaw_rad))
 
 
 def _meet(

@@ -55,6 +55,7 @@ class Outcome(IntEnum):
     CUT_SHORT = 11
     RIGHT_OF_WAY_ONLY = 12
     HEAD_ON = 13
+    NO_LOGIC = 14
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +107,8 @@ class Oracle:
         ours = self._ours(moment, meetings, ~same_lane & ~no_route)
         outcome = self._outcome(moment, meetings, listed, ours)
         outcome[no_route & (outcome == Outcome.ONLY_SUMO)] = Outcome.NO_ROUTE
+        mute = lanes.mute[meetings.way[:, 0]] & (outcome == Outcome.ONLY_OURS)
+        outcome[mute] = Outcome.NO_LOGIC
         outcome[same_lane] = Outcome.SAME_LANE_BEFORE
         distances = self._distances.errors(
             moment.line,
@@ -160,7 +163,7 @@ class Oracle:
     def _ours(self, moment: Moment, meetings: Meetings, eligible: BoolArray) -> _Ours:
         """Our conflicts of all pairs nearby, each given to the junction that it belongs to."""
         count = len(moment.line)
-        near = KDTree(moment.xy_m).query_pairs(3.0 * REACH_M, output_type="ndarray")
+        near = KDTree(moment.xy_m).query_pairs(2.0 * REACH_M, output_type="ndarray")
         near.sort(axis=1)
         own_pair = meetings.vehicle[:, 0] * count + meetings.vehicle[:, 1]
         pair = np.unique(np.concatenate((own_pair, near[:, 0] * count + near[:, 1])))

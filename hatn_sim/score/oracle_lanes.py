@@ -32,6 +32,7 @@ class JunctionLanes:
     target: IntArray  # [L] what follows the lane, -1 where that is inside too
     foes: IntArray  # keys of two ways, sorted
     shown: IntArray  # keys of a way and a foe of it that SUMO's list comes to, sorted
+    mute: BoolArray  # [L] in a junction without logic
     approach_foes: IntArray  # keys of a way and the lane before its foe's way, sorted
 
     def are_foes(self, way: IntArray) -> BoolArray:
@@ -98,6 +99,7 @@ def read_junctions(lanes: Sequence[Lane], foes: LaneFoes) -> JunctionLanes:
         source=source,
         target=target,
         foes=np.unique(keys),
+        mute=np.isin(np.arange(count), foes.mute),
         shown=np.unique(shown[:, 0] * count + shown[:, 1]),
         approach_foes=_approach_keys(foes.approaching, way, source, target, inside),
     )

@@ -34,6 +34,7 @@ MEANING: Final[Mapping[Outcome, str]] = {
     Outcome.RIGHT_OF_WAY_ONLY: "ours and in SUMO's right of way between the approaches; its table "
     "of lanes inside the junction lacks them",
     Outcome.HEAD_ON: "ours: they drive against each other on one lane, of which SUMO knows nothing",
+    Outcome.NO_LOGIC: "ours, in an unregulated junction, of which SUMO keeps no list",
 }
 ERRORS: Final = (
     Outcome.ONLY_SUMO,

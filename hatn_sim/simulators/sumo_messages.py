@@ -82,3 +82,4 @@ class LaneFoes:
 
     inside: IntArray  # [F, 2] a lane inside a junction, its foe
     approaching: IntArray  # [G, 3] a lane, the one it leads to, a lane whose traffic is its foe
+    mute: IntArray  # lanes in junctions without logic, of which SUMO lists nothing

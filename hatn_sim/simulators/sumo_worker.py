@@ -28,6 +28,7 @@ from hatn_sim.simulators.sumo_lanes import (
     LaneTable,
     Link,
     is_connection,
+    junction_of,
     kinds_of,
 )
 from hatn_sim.simulators.sumo_messages import (
@@ -53,6 +54,8 @@ INVALID_M = -1e9
 """SUMO gives coordinates below this where a vehicle is nowhere (while it teleports)."""
 SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
 """Of a vehicle without a colour of its own; its type's counts then."""
+MUTE_MARGIN_M = 0.5
+"""How far before a junction that must not be asked about the question ends."""
 PEDESTRIAN_PREFIX = "person:"
 """Persons and vehicles may bear the same name; in a scene no two road users may."""
 
@@ -123,6 +126,7 @@ class Simulation:
         self._speeds_mps: dict[str, float] = {}
         self._sumo_s = 0.0
         self._lane_row = {name: row for row, name in enumerate(self.lane_table.ids)}
+        self._mute: frozenset[str] | None = None  # junctions that must not be asked about
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -186,7 +190,10 @@ class Simulation:
         )
 
     def junction_foes(self, reach_m: float) -> JunctionFoes:
-        """What SUMO says of the conflicts of every vehicle within `reach_m` ahead of it."""
+        """What SUMO says of the conflicts of every vehicle within `reach_m` ahead of it.
+
+        It is asked up to the first junction without logic: there it would crash.
+        """
         row_of = {
             name: row
             for row, name in enumerate(
@@ -201,24 +208,19 @@ class Simulation:
         approaches: list[tuple[int, int]] = []
         approach_m: list[float] = []
         for name, row in row_of.items():
-            for (
-                foe,
-                enter,
-                foe_enter,
-                leave,
-                foe_leave,
-                lane,
-                foe_lane,
-                _,
-                _,
-            ) in libsumo.vehicle.getJunctionFoes(name, reach_m):
+            ahead = _connections_ahead(name, reach_m)
+            approaches += [(row, lane_row.get(lane, -1)) for lane, _ in ahead]
+            approach_m += [at_m for _, at_m in ahead]
+            mute_m = [at_m for lane, at_m in ahead if junction_of(lane) in self._mute_junctions]
+            asked_m = min(mute_m[0] - MUTE_MARGIN_M, reach_m) if mute_m else reach_m
+            if asked_m <= 0.0:  # SUMO would take 0 for its own choice
+                continue
+            for found in libsumo.vehicle.getJunctionFoes(name, asked_m):
+                foe, enter_m, foe_enter_m, leave_m, foe_leave_m, lane, foe_lane = found[:7]
                 if foe in row_of:
                     lanes = (lane_row.get(lane, -1), lane_row.get(foe_lane, -1))
                     pairs.append((row, row_of[foe], *lanes))
-                    distances.append((enter, foe_enter, leave, foe_leave))
-            for lane, ahead_m in _connections_ahead(name, reach_m):
-                approaches.append((row, lane_row.get(lane, -1)))
-                approach_m.append(ahead_m)
+                    distances.append((enter_m, foe_enter_m, leave_m, foe_leave_m))
         pair_rows = np.array(pairs, np.int64).reshape(-1, 4)
         distance_rows = np.array(distances, np.float64).reshape(-1, 4)
         approach_rows = np.array(approaches, np.int64).reshape(-1, 2)
@@ -231,6 +233,12 @@ class Simulation:
             approach_lane=approach_rows[:, 1],
             approach_m=np.array(approach_m, np.float64),
         )
+
+    @property
+    def _mute_junctions(self) -> frozenset[str]:
+        if self._mute is None:
+            self._mute = _junctions_without_logic(self.lane_table)
+        return self._mute
 
     def lane_foes(self) -> LaneFoes:
         """What SUMO's junction logic holds against each other: lanes inside, and approaches."""
@@ -250,6 +258,14 @@ class Simulation:
         return LaneFoes(
             inside=np.array(inside, np.int64).reshape(-1, 2),
             approaching=np.array(approaching, np.int64).reshape(-1, 3),
+            mute=np.array(
+                [
+                    row
+                    for name, row in row_of.items()
+                    if is_connection(name) and junction_of(name) in self._mute_junctions
+                ],
+                np.int64,
+            ),
         )
 
     def _emergency_braking(
@@ -349,6 +365,20 @@ def _collisions(persons: frozenset[str]) -> tuple[tuple[str, str], ...]:
 def _edges_and_lanes(vehicle: str) -> tuple[Sequence[str], set[str]]:
     edges = libsumo.vehicle.getRoute(vehicle)[libsumo.vehicle.getRouteIndex(vehicle) + 1 :]
     return edges, {link[0] for link in libsumo.vehicle.getNextLinks(vehicle)}
+
+
+def _junctions_without_logic(table: LaneTable) -> frozenset[str]:
+    """Junctions of SUMO's type `unregulated`, as far as ways in them have the same lane before.
+
+    SUMO names the type nowhere; elsewhere it holds ways out of one lane against each other.
+    """
+    return frozenset(
+        junction_of(link.successor)
+        for links in table.links
+        if len({link.successor for link in links}) > 1
+        for link in links
+        if is_connection(link.successor) and not libsumo.lane.getInternalFoes(link.successor)
+    )
 
 
 def _connections_ahead(vehicle: str, reach_m: float) -> list[tuple[str, float]]:
