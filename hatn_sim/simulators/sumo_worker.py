@@ -22,13 +22,12 @@ import libsumo
 import numpy as np
 
 from hatn_sim.datatypes import Kind
+from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lanes import (
     CLOSED_SIGNALS,
     KIND_OF_CLASS,
     LaneTable,
     Link,
-    is_connection,
-    junction_of,
     kinds_of,
 )
 from hatn_sim.simulators.sumo_messages import (
@@ -54,8 +53,6 @@ INVALID_M = -1e9
 """SUMO gives coordinates below this where a vehicle is nowhere (while it teleports)."""
 SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
 """Of a vehicle without a colour of its own; its type's counts then."""
-MUTE_MARGIN_M = 0.5
-"""How far before a junction that must not be asked about the question ends."""
 PEDESTRIAN_PREFIX = "person:"
 """Persons and vehicles may bear the same name; in a scene no two road users may."""
 
@@ -125,8 +122,7 @@ class Simulation:
         self._commanded: set[str] = set()
         self._speeds_mps: dict[str, float] = {}
         self._sumo_s = 0.0
-        self._lane_row = {name: row for row, name in enumerate(self.lane_table.ids)}
-        self._mute: frozenset[str] | None = None  # junctions that must not be asked about
+        self._foes = FoeReader(libsumo, self.lane_table)
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -190,83 +186,14 @@ class Simulation:
         )
 
     def junction_foes(self, reach_m: float) -> JunctionFoes:
-        """What SUMO says of the conflicts of every vehicle within `reach_m` ahead of it.
-
-        It is asked up to the first junction without logic: there it would crash.
-        """
-        row_of = {
-            name: row
-            for row, name in enumerate(
-                name
-                for name in libsumo.vehicle.getIDList()
-                if libsumo.vehicle.getPosition(name)[0] >= INVALID_M
-            )
-        }
-        lane_row = self._lane_row
-        pairs: list[tuple[int, ...]] = []
-        distances: list[tuple[float, ...]] = []
-        approaches: list[tuple[int, int]] = []
-        approach_m: list[float] = []
-        for name, row in row_of.items():
-            ahead = _connections_ahead(name, reach_m)
-            approaches += [(row, lane_row.get(lane, -1)) for lane, _ in ahead]
-            approach_m += [at_m for _, at_m in ahead]
-            mute_m = [at_m for lane, at_m in ahead if junction_of(lane) in self._mute_junctions]
-            asked_m = min(mute_m[0] - MUTE_MARGIN_M, reach_m) if mute_m else reach_m
-            if asked_m <= 0.0:  # SUMO would take 0 for its own choice
-                continue
-            for found in libsumo.vehicle.getJunctionFoes(name, asked_m):
-                foe, enter_m, foe_enter_m, leave_m, foe_leave_m, lane, foe_lane = found[:7]
-                if foe in row_of:
-                    lanes = (lane_row.get(lane, -1), lane_row.get(foe_lane, -1))
-                    pairs.append((row, row_of[foe], *lanes))
-                    distances.append((enter_m, foe_enter_m, leave_m, foe_leave_m))
-        pair_rows = np.array(pairs, np.int64).reshape(-1, 4)
-        distance_rows = np.array(distances, np.float64).reshape(-1, 4)
-        approach_rows = np.array(approaches, np.int64).reshape(-1, 2)
-        return JunctionFoes(
-            vehicle=pair_rows[:, :2],
-            lane=pair_rows[:, 2:],
-            enter_m=distance_rows[:, :2],
-            leave_m=distance_rows[:, 2:],
-            approach_vehicle=approach_rows[:, 0],
-            approach_lane=approach_rows[:, 1],
-            approach_m=np.array(approach_m, np.float64),
-        )
-
-    @property
-    def _mute_junctions(self) -> frozenset[str]:
-        if self._mute is None:
-            self._mute = _junctions_without_logic(self.lane_table)
-        return self._mute
+        """SUMO's list of conflicts within `reach_m` ahead of the vehicles of the newest frame."""
+        vehicle = libsumo.vehicle
+        seen = [name for name in vehicle.getIDList() if vehicle.getPosition(name)[0] >= INVALID_M]
+        return self._foes.junction_foes(seen, reach_m)
 
     def lane_foes(self) -> LaneFoes:
-        """What SUMO's junction logic holds against each other: lanes inside, and approaches."""
-        row_of = self._lane_row
-        inside: list[tuple[int, ...]] = []
-        approaching: list[tuple[int, ...]] = []
-        for name, row in row_of.items():
-            if is_connection(name):
-                foes = libsumo.lane.getInternalFoes(name)
-                inside += [(row, row_of[foe]) for foe in foes if foe in row_of]
-                continue
-            for approached, *_ in libsumo.lane.getLinks(name):
-                target = row_of.get(approached)
-                if target is not None:
-                    foes = libsumo.lane.getFoes(name, approached)
-                    approaching += [(row, target, row_of[foe]) for foe in foes if foe in row_of]
-        return LaneFoes(
-            inside=np.array(inside, np.int64).reshape(-1, 2),
-            approaching=np.array(approaching, np.int64).reshape(-1, 3),
-            mute=np.array(
-                [
-                    row
-                    for name, row in row_of.items()
-                    if is_connection(name) and junction_of(name) in self._mute_junctions
-                ],
-                np.int64,
-            ),
-        )
+        """What SUMO's junctions hold against each other."""
+        return self._foes.lane_foes()
 
     def _emergency_braking(
         self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
@@ -365,55 +292,6 @@ def _collisions(persons: frozenset[str]) -> tuple[tuple[str, str], ...]:
 def _edges_and_lanes(vehicle: str) -> tuple[Sequence[str], set[str]]:
     edges = libsumo.vehicle.getRoute(vehicle)[libsumo.vehicle.getRouteIndex(vehicle) + 1 :]
     return edges, {link[0] for link in libsumo.vehicle.getNextLinks(vehicle)}
-
-
-def _junctions_without_logic(table: LaneTable) -> frozenset[str]:
-    """Junctions of SUMO's type `unregulated`, as far as ways in them have the same lane before.
-
-    SUMO names the type nowhere; elsewhere it holds ways out of one lane against each other.
-    """
-    return frozenset(
-        junction_of(link.successor)
-        for links in table.links
-        if len({link.successor for link in links}) > 1
-        for link in links
-        if is_connection(link.successor) and not libsumo.lane.getInternalFoes(link.successor)
-    )
-
-
-def _connections_ahead(vehicle: str, reach_m: float) -> list[tuple[str, float]]:
-    """First lanes of the ways through the junctions ahead, with the distance to their begin.
-
-    The junction that the vehicle is in comes first, with a distance that is not positive.
-    """
-    lane: str = libsumo.vehicle.getLaneID(vehicle)
-    if not lane:
-        return []
-    found: list[tuple[str, float]] = []
-    ahead_m = -libsumo.vehicle.getLanePosition(vehicle)
-    if is_connection(lane):  # SUMO's links begin behind the lane that follows
-        found.append((lane, ahead_m))
-        lane, through_m = _through_junction(lane)
-        ahead_m += through_m
-    ahead_m += libsumo.lane.getLength(lane)
-    for approached, _, _, _, via, _, _, _ in libsumo.vehicle.getNextLinks(vehicle):
-        if ahead_m > reach_m:
-            break
-        if via:
-            found.append((via, ahead_m))
-            ahead_m += _through_junction(via)[1]
-        ahead_m += libsumo.lane.getLength(approached)
-    return found
-
-
-def _through_junction(lane: str) -> tuple[str, float]:
-    """The lane behind the junction that `lane` is in, and the length of the way there."""
-    length_m = 0.0
-    while is_connection(lane):
-        length_m += libsumo.lane.getLength(lane)
-        approached, _, _, _, via, *_ = libsumo.lane.getLinks(lane)[0]
-        lane = via or approached
-    return lane, length_m
 
 
 def _gap_to_lane_end_m(vehicle: str) -> float:
