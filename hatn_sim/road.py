@@ -371,13 +371,37 @@ class Road:
     # -- conflicts ----------------------------------------------------------------------------
 
     def conflicts(self, first: int, second: int) -> tuple[Conflict, ...]:
-        """The conflicts of two lines in order along the first, s on (first, second)."""
+        """The conflicts of two lines in order along the first, s on (first, second).
+
+        Where the road knows junctions, lines that touch outside of them pass over each other.
+        """
         one, other = (
             slice(self.offset[k], self.offset[k] + self.count[k]) for k in (first, second)
         )
-        return find_conflicts(
+        found = find_conflicts(
             self.xy_m[one], self.yaw_rad[one], self.xy_m[other], self.yaw_rad[other], LINE_STEP_M
         )
+        if not self._knows_junctions:
+            return found
+        return tuple(
+            conflict
+            for conflict in found
+            if any(
+                self._touches_junction(line, conflict.entry_s_m[side], conflict.exit_s_m[side])
+                for side, line in enumerate((first, second))
+            )
+        )
+
+    @cached_property
+    def _knows_junctions(self) -> bool:
+        return any(lane.is_connection for lane in self.lanes.values())
+
+    def _touches_junction(self, line: int, from_s_m: float, to_s_m: float) -> bool:
+        """Whether a connection is part of a line between two arc lengths."""
+        start = self.lines[line].lane_start_s_m
+        first = max(int(np.searchsorted(start, from_s_m, side="right")) - 1, 0)
+        last = int(np.searchsorted(start, to_s_m, side="right"))
+        return any(self.lanes[name].is_connection for name in self.lines[line].route[first:last])
 
     def _may_meet(self, first: IntArray, second: IntArray) -> BoolArray:
         """Whether lines [Q] and [Q] come near enough for a conflict, by every COARSE-th vertex."""

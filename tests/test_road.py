@@ -85,6 +85,104 @@ def test_two_lines_may_conflict_twice() -> None:
     ]
 
 
+def test_one_lane_in_two_directions_is_a_conflict_over_all_of_it() -> None:
+    """Two roads share the strip from x = 0 to 60 m, one eastwards and one westwards."""
+    road = Road(
+        [
+            lane("east", [(-40, -30), (0, 0), (60, 0), (100, -30)]),
+            lane("west", [(100, 30), (60, 0), (0, 0), (-40, 30)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("east",)), road.line(("west",)))
+    assert found.type is ConflictType.CROSS
+    # 50 m on the ramps, which part at atan(3/4) to either side: 1.8 m apart after 1.5 m.
+    np.testing.assert_allclose(found.entry_s_m, (48.5, 48.5), atol=1.6)
+    np.testing.assert_allclose(found.exit_s_m, (111.5, 111.5), atol=1.6)
+    np.testing.assert_allclose(found.point_s_m, (80.0, 80.0), atol=0.6)
+
+
+def test_lines_against_each_other_that_change_sides_cross() -> None:
+    turn = np.deg2rad(160.0)
+    other = [(-80 * np.cos(turn), -80 * np.sin(turn)), (80 * np.cos(turn), 80 * np.sin(turn))]
+    road = Road([lane("east", [(-80, 0), (80, 0)]), lane("other", other)])
+    (found,) = road.conflicts(road.line(("east",)), road.line(("other",)))
+    assert found.type is ConflictType.CROSS
+    np.testing.assert_allclose(found.point_s_m, (80.0, 80.0), atol=0.6)
+    # Points of one line are within 1.8 m of the other up to 1.8 m / sin 20 degrees.
+    np.testing.assert_allclose(found.entry_s_m, np.full(2, 80.0 - 1.8 / np.sin(turn)), atol=0.15)
+
+
+def test_lanes_that_part_and_meet_again_conflict_where_they_meet() -> None:
+    """Round an island between x = 30 and 90 m; together before and after."""
+    road = Road(
+        [
+            lane("north", [(0, 0), (30, 0), (40, 5), (80, 5), (90, 0), (150, 0)]),
+            lane("south", [(0, 0), (30, 0), (40, -5), (80, -5), (90, 0), (150, 0)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("north",)), road.line(("south",)))
+    assert found.type is ConflictType.MERGE
+    # A point h beside the middle is 2 h cos(a) from the other line, with tan(a) = 1/2, and comes
+    # to the middle after h / sin(a).
+    a = np.arctan(0.5)
+    meet_s_m = 30.0 + 40.0 + 2.0 * np.hypot(10.0, 5.0)
+    expected = meet_s_m - 0.9 / (np.cos(a) * np.sin(a))
+    np.testing.assert_allclose(found.entry_s_m, (expected, expected), atol=0.15)
+
+
+def test_lines_that_start_side_by_side_may_still_cross() -> None:
+    """A turn to the right across a narrow lane beside it."""
+    road = Road(
+        [
+            lane("straight", [(0, 0), (80, 0)]),
+            lane("turn", [(0, 1.5), (40, 1.5), (45, 0), (50, -8), (50, -40)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("straight",)), road.line(("turn",)))
+    assert found.type is ConflictType.CROSS
+    np.testing.assert_allclose(found.point_s_m[0], 45.0, atol=0.3)
+
+
+@pytest.mark.parametrize("phase_m", [0.0, 0.2, 0.5])
+def test_a_short_shared_lane_is_a_merge_wherever_the_vertices_fall(phase_m: float) -> None:
+    road = Road(
+        [
+            lane("straight", [(phase_m, 0), (100, 0)]),
+            lane("through", [(20, -20), (40, 0), (46, 0), (66, 20)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("straight",)), road.line(("through",)))
+    assert found.type is ConflictType.MERGE
+    # At 45 degrees 1.8 m away after 1.8 m of the other line, 1.8 m * sqrt 2 of this one.
+    np.testing.assert_allclose(found.entry_s_m[1], np.hypot(20, 20) - 1.8 * 2**0.5, atol=0.15)
+    np.testing.assert_allclose(found.entry_s_m[0], 40.0 - phase_m - 1.8, atol=0.9)
+
+
+def test_a_u_turn_merges_with_oncoming_traffic() -> None:
+    t = np.linspace(0.0, np.pi, 60)
+    arc = list(zip(3.0 * np.sin(t), -3.0 * np.cos(t), strict=True))
+    road = Road(
+        [
+            lane("u", [(-50, -3), *arc, (-60, 3)]),
+            lane("oncoming", [(60, 3), (-60, 3)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("u",)), road.line(("oncoming",)))
+    assert found.type is ConflictType.MERGE
+    # The arc is 3 m + 3 m cos t below y = 3: within 1.8 m from cos t = -0.4 on.
+    np.testing.assert_allclose(found.entry_s_m[0], 50.0 + 3.0 * np.arccos(-0.4), atol=0.15)
+
+
+def test_roads_that_meet_at_no_junction_pass_over_each_other() -> None:
+    over = [lane("over", [(-80, -40), (80, -40)])]
+    road = Road([*crossing_lanes(), *over])
+    assert road.conflicts(road.line(("over",)), road.line(SOUTH_NORTH)) == ()
+    assert len(road.conflicts(road.line(WEST_EAST), road.line(SOUTH_NORTH))) == 1
+    # A road that knows no junctions has only its geometry to go by.
+    road = Road([lane("s", [(0, -108), (0, -8)]), *over])
+    assert len(road.conflicts(road.line(("over",)), road.line(("s",)))) == 1
+
+
 def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None:
     lines = np.array([crossing.line(r) for r in (WEST_NORTH, SOUTH_NORTH, WEST_EAST)])
     first, second = np.array([0, 1, 0, 0, 2]), np.array([1, 0, 2, 0, 1])

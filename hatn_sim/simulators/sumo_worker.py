@@ -4,6 +4,7 @@ It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_pro
 over its standard input and output. The first message it reads are SUMO's options; it answers with
 `Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
 commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
+`AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
 """
 
@@ -21,6 +22,7 @@ import libsumo
 import numpy as np
 
 from hatn_sim.datatypes import Kind
+from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lanes import (
     CLOSED_SIGNALS,
     KIND_OF_CLASS,
@@ -28,7 +30,16 @@ from hatn_sim.simulators.sumo_lanes import (
     Link,
     kinds_of,
 )
-from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
+from hatn_sim.simulators.sumo_messages import (
+    AskFoes,
+    AskLaneFoes,
+    Failed,
+    JunctionFoes,
+    LaneFoes,
+    RawFrame,
+    Refused,
+    Started,
+)
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
 
 OBEY_SPEED_MODE = 32
@@ -111,6 +122,7 @@ class Simulation:
         self._commanded: set[str] = set()
         self._speeds_mps: dict[str, float] = {}
         self._sumo_s = 0.0
+        self._foes = FoeReader(libsumo, self.lane_table)
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -172,6 +184,16 @@ class Simulation:
             done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
             sumo_s=self._sumo_s,
         )
+
+    def junction_foes(self, reach_m: float) -> JunctionFoes:
+        """SUMO's list of conflicts within `reach_m` ahead of the vehicles of the newest frame."""
+        vehicle = libsumo.vehicle
+        seen = [name for name in vehicle.getIDList() if vehicle.getPosition(name)[0] >= INVALID_M]
+        return self._foes.junction_foes(seen, reach_m)
+
+    def lane_foes(self) -> LaneFoes:
+        """What SUMO's junctions hold against each other."""
+        return self._foes.lane_foes()
 
     def _emergency_braking(
         self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
@@ -307,16 +329,26 @@ def _serve(requests: Any, replies: Any) -> None:
     try:
         reply(Started(simulation.lane_table, simulation.observe()))
         while True:
-            commands = pickle.load(requests)
+            message = pickle.load(requests)
             try:
-                simulation.step(commands)
-                frame = simulation.observe()
+                answer = _answer(simulation, message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                 reply(Failed(str(error)))
                 return
-            reply(frame)
+            reply(answer)
     finally:
         libsumo.close()  # finishes the output files that a user's configuration asks for
+
+
+def _answer(simulation: Simulation, message: object) -> RawFrame | JunctionFoes | LaneFoes:
+    match message:
+        case AskFoes(reach_m):
+            return simulation.junction_foes(reach_m)
+        case AskLaneFoes():
+            return simulation.lane_foes()
+        case _:
+            simulation.step(message)  # type: ignore[arg-type]  # a list of commands
+            return simulation.observe()
 
 
 if __name__ == "__main__":
