@@ -9,16 +9,14 @@ import numpy as np
 
 from hatn_sim.datatypes import DT_S, Command, Frame, Lane, Route, Scene, Truth
 from hatn_sim.errors import InputError, SimulatorError
-from hatn_sim.simulators.sumo_config import start_options
+from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
-from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError
+from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
     from hatn_sim.road import Road
-
-MAX_SEED = 2**31 - 1
 
 
 class SumoSimulator:
@@ -97,7 +95,7 @@ class SumoSimulator:
         self._worker = SumoWorker()
         answer = self._ask((*self._options, "--seed", str(seed)))
         if isinstance(answer, Refused):
-            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
+            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
             self.close()
             raise InputError(f"{self.scenario.config_path}: SUMO refuses it: {reason}")
         assert isinstance(answer, Started)
@@ -115,7 +113,7 @@ class SumoSimulator:
             raise SimulatorError("SUMO is not running: call reset(seed) first")
         answer = self._ask([(command.ego_id, command.acceleration_mps2) for command in commands])
         if isinstance(answer, Failed):
-            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
+            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
             raise self._stopped(reason)
         assert isinstance(answer, RawFrame)
         return self._frame(answer)
@@ -186,7 +184,3 @@ class SumoSimulator:
             teleported=raw.teleported,
         )
         return Frame(scene=scene, truth=truth, done=raw.done)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
