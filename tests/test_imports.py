@@ -15,7 +15,7 @@ PACKAGE = Path(hatn_sim.__file__).parent
 ONLY_IN = {
     "torch": ("hatn", "learn"),
     "safetensors": ("hatn", "learn"),
-    "libsumo": ("simulators.sumo_worker",),
+    "libsumo": ("simulators.sumo_worker", "simulators.sumo_replay_worker"),
     "traci": (),
     "sumolib": (),
     "highway_env": ("simulators.highway",),

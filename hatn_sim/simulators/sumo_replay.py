@@ -30,22 +30,25 @@ from hatn_sim.simulators.sumo_replay_plan import Cast, type_of
 from hatn_sim.simulators.sumo_replay_survey import Survey, survey
 
 WORKER: Final = "hatn_sim.simulators.sumo_replay_worker"
-CLASS_OF_KIND: Final = {
-    Kind.CAR: "passenger",
-    Kind.VAN: "delivery",
-    Kind.LORRY: "truck",
-    Kind.BUS: "bus",
-    Kind.MOTORCYCLE: "motorcycle",
-    Kind.BICYCLE: "bicycle",
-    Kind.TRAM: "tram",
-    Kind.OTHER: "passenger",
+DRIVERS: Final = {
+    Kind.CAR: ("passenger", 2.1, 3.3),
+    Kind.VAN: ("delivery", 1.9, 3.3),
+    Kind.LORRY: ("truck", 1.2, 3.0),
+    Kind.BUS: ("bus", 1.2, 3.0),
+    Kind.MOTORCYCLE: ("motorcycle", 2.6, 3.5),
+    Kind.BICYCLE: ("bicycle", 1.2, 3.0),
+    Kind.TRAM: ("tram", 1.0, 3.0),
+    Kind.OTHER: ("passenger", 2.1, 3.3),
 }
-"""SUMO's vehicle class of each kind; pedestrians are not placed."""
+"""SUMO's vehicle class of each kind, and its acceleration and comfortable deceleration in m/s2.
+
+Pedestrians are not placed.
+"""
 DRIVER: Final = (
     'carFollowModel="EIDM" treaction="0.1" tau="1.25" minGap="2" emergencyDecel="9" '
     'speedFactor="normc(1,0.1,0.8,1.2)"'
 )
-"""Who drives released vehicles: between the steady and the brisk of the scenes that ship."""
+"""Between the steady and the brisk drivers of the scenes that ship."""
 
 
 class SumoReplay:
@@ -208,9 +211,14 @@ class SumoReplay:
                 "duration-log.disable": "true",
             }
             self._worker = SumoWorker(WORKER)
-            answer = self._ask(
-                tuple(word for key, value in options.items() for word in (f"--{key}", value))
-            )
+            words = tuple(word for key, value in options.items() for word in (f"--{key}", value))
+            try:
+                answer = self._worker.ask(words)
+            except WorkerDiedError as error:  # SUMO crashes on some nets that are not whole
+                answer = Refused(str(error))
+            except BaseException:
+                self.close()
+                raise
         if isinstance(answer, Refused):
             reason = self._worker.complaint() or f"Error: {answer.reason}"
             self.close()
@@ -291,10 +299,35 @@ class SumoReplay:
         )
 
 
+def open_replay(
+    recording: Recording, net_path: Path, take_over: str = "", react_from_s: float | None = None
+) -> SumoReplay:
+    """A replay as the command line asks for it; `take_over` is `ID[@S],ID[@S]...`.
+
+    Raises InputError where that cannot be read or there is no such net.
+    """
+    return SumoReplay(recording, net_path, parse_take_over(take_over), react_from_s)
+
+
+def parse_take_over(text: str) -> dict[str, float | None]:
+    """`12@3.5,13` -> vehicle 12 from 3.5 s on, 13 from its appearance on. Raises InputError."""
+    wanted: dict[str, float | None] = {}
+    for word in filter(None, (part.strip() for part in text.split(","))):
+        vehicle, at, seconds = word.rpartition("@")
+        try:
+            wanted[vehicle if at else word] = float(seconds) if at else None
+        except ValueError:
+            raise InputError(
+                f"take-over {word!r}: expected ID or ID@SECONDS, found {seconds!r} for the seconds"
+            ) from None
+    return wanted
+
+
 def vehicle_types() -> str:
     """An additional file of SUMO with a vehicle type for each kind that is placed."""
     types = "\n".join(
-        f'    <vType id="{type_of(kind)}" vClass="{vehicle_class}" {DRIVER}/>'
-        for kind, vehicle_class in CLASS_OF_KIND.items()
+        f'    <vType id="{type_of(kind)}" vClass="{vehicle_class}" accel="{accel_mps2}" '
+        f'decel="{decel_mps2}" {DRIVER}/>'
+        for kind, (vehicle_class, accel_mps2, decel_mps2) in DRIVERS.items()
     )
     return f"<additional>\n{types}\n</additional>\n"

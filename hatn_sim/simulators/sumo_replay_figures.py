@@ -29,7 +29,7 @@ class Fidelity:
     position_m_p99: float | None
     position_m_max: float | None
     lane_n: int  # vehicle-frames whose lane is known by matching the whole recorded track
-    lane_share: float | None  # of these, SUMO has the vehicle on that lane
+    lane_share: float | None  # of these, SUMO has the vehicle on that lane (see Match.lanes_at)
     speed_mps_median: float | None
     speed_mps_p99: float | None
     centre_line_m_median: float | None  # recorded vehicles to the nearest centre line

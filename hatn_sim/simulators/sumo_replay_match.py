@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -56,11 +57,15 @@ class Match:
     breaks: tuple[int, ...]
 
     def lanes_at(self, frame: int) -> Route:
-        """The lanes that the vehicle was on between the matched points around a frame."""
+        """The lanes that the vehicle may be on at a frame.
+
+        Those between the matched points around the frame, and one before and after: a bumper where
+        two lanes meet is on either.
+        """
         after = int(np.searchsorted(self.frame, frame))
-        low = self.at[max(after - 1, 0)]
-        high = self.at[min(after, len(self.at) - 1)]
-        return self.lanes[low : high + 1]
+        low = int(self.at[max(after - 1, 0)])
+        high = int(self.at[min(after, len(self.at) - 1)])
+        return self.lanes[max(low - 1, 0) : high + 2]
 
 
 class LaneMatcher:
@@ -109,7 +114,7 @@ class LaneMatcher:
             return None
         chosen = self._viterbi([found for found in candidates if found], xy_m[used])
         path, at, breaks = [chosen[0]], [0], list[int]()
-        for before, now in zip(chosen, chosen[1:], strict=False):
+        for before, now in pairwise(chosen):
             if now != before:
                 between = self._between(before, now)
                 path += [*between, now] if between is not None else [now]
@@ -187,7 +192,7 @@ class LaneMatcher:
         moved_m = np.linalg.norm(np.diff(xy_m, axis=0), axis=1)
         costs = [cost for _, _, cost in candidates[0]]
         back: list[list[int]] = []
-        for step_m, before, now in zip(moved_m, candidates, candidates[1:], strict=False):
+        for step_m, (before, now) in zip(moved_m, pairwise(candidates), strict=True):
             rows: list[int] = []
             totals: list[float] = []
             for lane, s_m, cost in now:

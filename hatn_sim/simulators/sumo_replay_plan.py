@@ -212,8 +212,8 @@ class Cast:
         for command in commands:
             if self.react_from_s is None and command.ego_id not in self.take_over:
                 raise InputError(
-                    f"{self.where}: {command.ego_id!r} cannot be driven, it keeps to its recording; "
-                    "name it among the vehicles to take over"
+                    f"{self.where}: {command.ego_id!r} cannot be driven, it keeps to its "
+                    "recording; name it among the vehicles to take over"
                 )
         return tuple(
             (command.ego_id, command.acceleration_mps2)

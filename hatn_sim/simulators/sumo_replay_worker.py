@@ -100,7 +100,7 @@ class ReplaySimulation:
 
 
 def _release(name: str, edges: Route) -> bool:
-    """Gives a vehicle to SUMO's driver, with the rest of its way; False where that cannot be driven.
+    """Gives a vehicle with the rest of its way to SUMO's driver; False where it has no way.
 
     Where SUMO takes the vehicle to be on another edge than it was matched to, it first drives the
     shortest way to the next edge of its way that can be reached.
