@@ -28,8 +28,9 @@ OPTIONS: Final = {
     "junctions.limit-turn-speed": "2.5",  # the default lets turns be driven too fast
     "xml-validation": "never",
 }
-SPECK_M: Final = np.array([[0.0, 0.0], [0.002, 0.0], [0.0, 0.002]])
-"""The outline of a junction while netconvert looks, about its middle."""
+SPECK_M: Final = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+FAR_M: Final = 1000.0
+"""Where a junction's outline is while netconvert works, and how far from everything else."""
 NAMES: Final = ("nod", "edg", "con")
 
 
@@ -65,6 +66,8 @@ def write_net(lanes: Iterable[Lane], path: Path) -> NetPlan:
     for junction in net.iter("junction"):
         if junction.get("id") in outlines:
             junction.set("shape", outlines[junction.attrib["id"]])
+    for location in net.iter("location"):
+        location.set("origBoundary", location.attrib["convBoundary"])
     _deliver(ElementTree.tostring(net.getroot(), encoding="utf-8", xml_declaration=True), path)
     return plan
 
@@ -82,14 +85,14 @@ def find_netconvert() -> str:
 
 
 def node_tree(plan: NetPlan) -> Element:
-    """The junctions, with outlines of next to nothing: netconvert cuts lanes at them."""
+    """The junctions, with outlines far off: netconvert would cut or draw out lanes to them."""
     root = Element("nodes")
+    far_off_m = np.min([node.shape_m.min(axis=0) for node in plan.nodes], axis=0) - FAR_M
     for node in plan.nodes:
         x_m, y_m = node.shape_m.mean(axis=0)
-        attributes = {"id": node.id, "x": f"{x_m:.3f}", "y": f"{y_m:.3f}", "type": node.type}
-        SubElement(
-            root, "node", attributes | {"shape": _shape(node.shape_m.mean(axis=0) + SPECK_M)}
-        )
+        place = {"x": f"{x_m:.3f}", "y": f"{y_m:.3f}"}
+        shape = _shape(far_off_m + SPECK_M)
+        SubElement(root, "node", {"id": node.id, "type": node.type, **place, "shape": shape})
     return root
 
 
@@ -144,8 +147,7 @@ def _connection(connection: PlannedConnection) -> dict[str, str]:
         "toLane": str(connection.target[1]),
         "speed": f"{connection.speed_mps:.3f}",
     }
-    # Two points say no more than that the lanes follow one another.
-    if len(connection.shape_m) > 2:
+    if connection.through:
         attributes["shape"] = _shape(connection.shape_m)
     return attributes
 

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, KDTree
 
 from hatn_sim.datatypes import FloatArray, Gate, Kind, Lane, Route
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
+from hatn_sim.recordings.sumo_net_cut import cut_long
 
 OVERLAP_M: Final = 0.75
 """Centre lines of connections nearer than this to each other are of one junction."""
@@ -63,6 +64,7 @@ class PlannedConnection:
 
 @dataclass(frozen=True, eq=False)
 class NetPlan:
+    lanes: tuple[Lane, ...]  # as given, cut as `sumo_net_cut` says
     nodes: tuple[PlannedNode, ...]
     edges: tuple[PlannedEdge, ...]
     connections: tuple[PlannedConnection, ...]
@@ -91,9 +93,10 @@ def plan_net(given: Iterable[Lane]) -> NetPlan:
 
     Lanes outside junctions become lanes of edges, side by side where they run so; what touches or
     overlaps inside is one junction, and every way through it one connection. A lane of a junction
-    without a lane before or after it (where the map ends) is an edge of its own.
+    without a lane before or after it (where the map ends) is an edge of its own, and so is a free
+    stretch of a long one (`sumo_net_cut`).
     """
-    lanes = _driveable(given)
+    lanes = cut_long(_driveable(given))
     before = _predecessors(lanes)
     inside = {
         name
@@ -282,12 +285,12 @@ def _assemble(
         _node(name, planned, connections)
         for name in dict.fromkeys(node for edge in planned for node in (edge.source, edge.target))
     )
-    return NetPlan(nodes, tuple(planned), tuple(connections))
+    return NetPlan(tuple(lanes.values()), nodes, tuple(planned), tuple(connections))
 
 
 def _edge_name(lane: str, number: int, used: set[str]) -> str:
     """A name that SUMO takes, the lane's own if it is one."""
-    plain = lane.isascii() and all(sign.isalnum() or sign in "_-.#" for sign in lane)
+    plain = lane.isascii() and all(sign.isalnum() or sign in "_-.#~" for sign in lane)
     name = lane if plain and lane not in used else f"edge{number}"
     while name in used:
         name += "_"
