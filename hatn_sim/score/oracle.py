@@ -15,10 +15,11 @@ from typing import Final
 import numpy as np
 from scipy.spatial import KDTree
 
+from hatn_sim.conflict_table import PairConflicts
 from hatn_sim.conflicts import OPPOSITE_RAD
 from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray, IntArray
 from hatn_sim.geometry import wrap_angle
-from hatn_sim.road import MAX_CONFLICTS, Road
+from hatn_sim.road import Road
 from hatn_sim.score.oracle_distances import DistanceErrors, Distances
 from hatn_sim.score.oracle_lanes import NOWHERE, JunctionLanes, junction_spans
 from hatn_sim.score.oracle_meetings import (
@@ -80,7 +81,7 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class _Ours:
-    table: FloatArray  # [M, Q, 7] see Road.conflict_table
+    table: FloatArray  # [M, Q, 7] entry, point, exit on either line, ConflictType; padded with inf
     here: BoolArray  # [M, Q] the conflict belongs to the meeting's junction
     ahead: BoolArray  # [M, Q] neither front bumper is beyond it
     head_on: BoolArray  # [M, Q] they run against each other there
@@ -169,8 +170,8 @@ class Oracle:
         pair = np.unique(np.concatenate((own_pair, near[:, 0] * count + near[:, 1])))
         one, other = np.divmod(pair, max(count, 1))
         on = (moment.line[one] >= 0) & (moment.line[other] >= 0)
-        table = np.full((len(pair), MAX_CONFLICTS, 7), np.inf)
-        table[on] = self._road.conflict_table(moment.line[one[on]], moment.line[other[on]])
+        found = self._road.conflict_table.of_pairs(moment.line[one[on]], moment.line[other[on]])
+        table = _padded(found, np.flatnonzero(on), len(pair))
         entry, leave = table[:, :, [0, 3]], table[:, :, [2, 5]]
         merge = table[:, :, 6:7] == ConflictType.MERGE
         end = np.where(merge, entry, leave)  # what lies behind the begin of a merge is no place
@@ -239,3 +240,16 @@ class Oracle:
 def _any_of(meeting: IntArray, count: int) -> BoolArray:
     """Which of `count` meetings are among those given."""
     return np.bincount(meeting, minlength=count) > 0
+
+
+def _padded(found: PairConflicts, row: IntArray, rows: int) -> FloatArray:
+    """Conflicts [rows, Q, 7] of pairs, pair k in row[k], each along its first line."""
+    order = np.lexsort((found.point_s_m[:, 0], found.pair))
+    pair = found.pair[order]
+    begins = np.flatnonzero(np.diff(pair, prepend=-1))
+    nth = np.arange(len(pair)) - np.repeat(begins, np.diff(begins, append=len(pair)))
+    table = np.full((rows, int(nth.max(initial=0)) + 1, 7), np.inf)
+    sides = (found.entry_s_m, found.point_s_m, found.exit_s_m)
+    columns = [side[:, k] for k in (0, 1) for side in sides]
+    table[row[pair], nth] = np.column_stack((*columns, found.type))[order]
+    return table

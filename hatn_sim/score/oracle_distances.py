@@ -56,7 +56,7 @@ class Distances:
             front_s_m: [N] their front bumpers.
             meetings: M of them.
             listed: SUMO's rows.
-            ours: conflicts [M, Q, 7] as Road.conflict_table has them, and which count [M, Q].
+            ours: conflicts [M, Q, 7] along the first lines, and which count [M, Q].
             found: [M] whether both have the meeting.
         """
         table, here = ours

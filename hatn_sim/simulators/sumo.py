@@ -10,7 +10,7 @@ import numpy as np
 
 from hatn_sim.datatypes import DT_S, Command, Frame, Lane, Route, Scene, Truth
 from hatn_sim.errors import InputError, SimulatorError
-from hatn_sim.simulators.sumo_config import start_options
+from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import (
     AskFoes,
@@ -22,13 +22,11 @@ from hatn_sim.simulators.sumo_messages import (
     Refused,
     Started,
 )
-from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError
+from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
     from hatn_sim.road import Road
-
-MAX_SEED = 2**31 - 1
 
 
 class SumoSimulator:
@@ -107,7 +105,7 @@ class SumoSimulator:
         self._worker = SumoWorker()
         answer = self._ask((*self._options, "--seed", str(seed)))
         if isinstance(answer, Refused):
-            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
+            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
             self.close()
             raise InputError(f"{self.scenario.config_path}: SUMO refuses it: {reason}")
         assert isinstance(answer, Started)
@@ -162,7 +160,7 @@ class SumoSimulator:
             raise SimulatorError("SUMO is not running: call reset(seed) first")
         answer = self._ask(message)
         if isinstance(answer, Failed):
-            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
+            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
             raise self._stopped(reason)
         return answer
 
@@ -221,7 +219,3 @@ class SumoSimulator:
             teleported=raw.teleported,
         )
         return Frame(scene=scene, truth=truth, done=raw.done)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

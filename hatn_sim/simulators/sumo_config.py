@@ -24,6 +24,7 @@ SYNONYMS = {
 """Other names SUMO knows for the options read here."""
 FILE_OPTIONS = ("net-file", "route-files", "additional-files")
 SUMO_DEFAULT_STEP_S = 1.0
+MAX_SEED = 2**31 - 1
 COLLISIONS_SEEN = {
     "collision.action": "warn",
     "collision.check-junctions": "true",

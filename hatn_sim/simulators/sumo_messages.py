@@ -83,3 +83,39 @@ class LaneFoes:
     inside: IntArray  # [F, 2] a lane inside a junction, its foe
     approaching: IntArray  # [G, 3] a lane, the one it leads to, a lane whose traffic is its foe
     mute: IntArray  # lanes in junctions without logic, of which SUMO lists nothing
+
+
+@dataclass(frozen=True)
+class Newcomer:
+    """A recorded vehicle that appears."""
+
+    id: str
+    type: str  # of those in the types file
+    edges: Route  # that it will drive; empty: not known
+    length_m: float
+    width_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayStep:
+    """What is to happen in one step of a replay."""
+
+    newcomers: tuple[Newcomer, ...]
+    leavers: tuple[str, ...]
+    placed: tuple[str, ...]  # [M] vehicles moved to where they were recorded at the end of the step
+    poses: FloatArray  # [M, 4] front x, y, compass angle in degrees, speed in m/s
+    on_lane: BoolArray  # [M] False: placed beside the road, where no driver sees it
+    released: tuple[tuple[str, Route], ...]  # from now on SUMO's, with the edges to drive
+    driven: tuple[str, ...]  # all that are SUMO's now, those included
+    commands: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayFrame:
+    """What SUMO made of a `ReplayStep`."""
+
+    driven: RawFrame  # of the vehicles that are SUMO's
+    placed: FloatArray  # [M, 3] front x, y, speed of the vehicles placed, in their order
+    lanes: tuple[str, ...]  # [M] "" where on none
+    lost: tuple[str, ...]  # placed vehicles that SUMO has taken off the road
+    refused: tuple[str, ...]  # vehicles released for which SUMO has no way

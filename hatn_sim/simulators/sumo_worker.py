@@ -15,8 +15,8 @@ import pickle
 import signal
 import sys
 import time
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import libsumo
 import numpy as np
@@ -148,14 +148,25 @@ class Simulation:
             libsumo.vehicle.setSpeed(vehicle, max(speed_mps, 0.0))
         self._commanded = set(accelerations)
 
-    def observe(self) -> RawFrame:
-        """What is on the road now."""
+    def answer(self, message: object) -> RawFrame | JunctionFoes | LaneFoes:
+        """Who conflicts with whom, if that is asked; else the frame after a step of commands."""
+        match message:
+            case AskFoes(reach_m):
+                return self.junction_foes(reach_m)
+            case AskLaneFoes():
+                return self.lane_foes()
+            case _:
+                self.step(message)  # type: ignore[arg-type]  # a list of commands
+                return self.observe()
+
+    def observe(self, names: Sequence[str] | None = None) -> RawFrame:
+        """What is on the road now: everybody, or the vehicles named."""
         simulation = libsumo.simulation
         arrived = tuple(simulation.getArrivedIDList())
         for vehicle in arrived:
             self._tracker.forget(vehicle)
             self._looks.pop(vehicle, None)
-        ids, rows, routes = self._vehicles()
+        ids, rows, routes = self._vehicles(libsumo.vehicle.getIDList() if names is None else names)
         emergency_braking = self._emergency_braking(ids, rows)
         persons = frozenset(libsumo.person.getIDList()).difference(ids)
         self._add_pedestrians(ids, rows, routes)
@@ -215,7 +226,9 @@ class Simulation:
             if lost >= libsumo.vehicle.getEmergencyDecel(name) * dt_s - ROUNDING_MPS
         )
 
-    def _vehicles(self) -> tuple[list[str], list[tuple[float, ...]], list[int]]:
+    def _vehicles(
+        self, names: Sequence[str]
+    ) -> tuple[list[str], list[tuple[float, ...]], list[int]]:
         vehicle = libsumo.vehicle
         get_position, get_angle, get_speed = (
             vehicle.getPosition, vehicle.getAngle, vehicle.getSpeed,
@@ -227,7 +240,7 @@ class Simulation:
         ids: list[str] = []
         rows: list[tuple[float, ...]] = []
         routes: list[int] = []
-        for name in vehicle.getIDList():
+        for name in names:
             x_m, y_m = get_position(name)
             if x_m < INVALID_M:
                 continue
@@ -301,7 +314,18 @@ def _gap_to_lane_end_m(vehicle: str) -> float:
     return length_m - position_m
 
 
-def main() -> None:
+class Served(Protocol):
+    """A simulation that a worker process keeps and asks step by step."""
+
+    @property
+    def lane_table(self) -> LaneTable: ...
+
+    def observe(self) -> RawFrame: ...
+
+    def answer(self, message: Any) -> object: ...
+
+
+def serve(start: Callable[[Sequence[str]], Served]) -> None:
     """Serves one simulation over the pipes, until they close."""
     # Ctrl-C reaches the whole process group; whoever runs us decides when to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -310,19 +334,19 @@ def main() -> None:
         silence = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silence, 1)  # SUMO prints there too; only our messages may enter the pipe
         try:
-            _serve(requests, replies)
+            _serve(start, requests, replies)
         except (EOFError, BrokenPipeError):
             return  # nobody is listening any more
 
 
-def _serve(requests: Any, replies: Any) -> None:
+def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any) -> None:
     def reply(message: object) -> None:
         pickle.dump(message, replies, protocol=5)
         replies.flush()
 
     options = pickle.load(requests)
     try:
-        simulation = Simulation(options)
+        simulation = start(options)
     except libsumo.TraCIException as error:
         reply(Refused(str(error)))
         return
@@ -331,7 +355,7 @@ def _serve(requests: Any, replies: Any) -> None:
         while True:
             message = pickle.load(requests)
             try:
-                answer = _answer(simulation, message)
+                answer = simulation.answer(message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                 reply(Failed(str(error)))
                 return
@@ -340,16 +364,5 @@ def _serve(requests: Any, replies: Any) -> None:
         libsumo.close()  # finishes the output files that a user's configuration asks for
 
 
-def _answer(simulation: Simulation, message: object) -> RawFrame | JunctionFoes | LaneFoes:
-    match message:
-        case AskFoes(reach_m):
-            return simulation.junction_foes(reach_m)
-        case AskLaneFoes():
-            return simulation.lane_foes()
-        case _:
-            simulation.step(message)  # type: ignore[arg-type]  # a list of commands
-            return simulation.observe()
-
-
 if __name__ == "__main__":
-    main()
+    serve(Simulation)
