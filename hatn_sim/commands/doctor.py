@@ -35,6 +35,7 @@ _CORE = (
     "scipy",
     "torch",
     "pyarrow",
+    "pyproj",
     "safetensors",
     "matplotlib",
     "rich",

@@ -50,13 +50,21 @@ class FcdRecording:
         self._path = path
         self._map_path = source.map_path
 
-    @cached_property
+    @property
     def lanes(self) -> list[Lane]:
+        return self._lanes
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the recording lacks. Reads the beginning of the file; raises as `frames` does."""
+        return self._notices
+
+    @cached_property
+    def _lanes(self) -> list[Lane]:
         return read_lanes(self._map_path)
 
     @cached_property
-    def notices(self) -> tuple[str, ...]:
-        """What the recording lacks. Reads the beginning of the file; raises as `frames` does."""
+    def _notices(self) -> tuple[str, ...]:
         head = list(first_moments(self._moments()))
         if not any(moment.scene.ids for moment in head):
             raise InputError(
@@ -75,7 +83,7 @@ class FcdRecording:
             InputError: where the file is at fault, when that place is reached; at the beginning
                 if positions do not fit the speeds or the net.
         """
-        _ = self.notices
+        _ = self._notices
         return with_end(self._frames())
 
     def _frames(self) -> Iterator[Frame]:
