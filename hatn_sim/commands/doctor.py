@@ -40,6 +40,7 @@ _CORE = (
     "scipy",
     "torch",
     "pyarrow",
+    "pyproj",
     "safetensors",
     "matplotlib",
     "rich",
