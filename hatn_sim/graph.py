@@ -7,6 +7,7 @@ lengths of the vehicles. Distances to a conflict count positive upstream.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,7 +24,7 @@ from hatn_sim.datatypes import (
     SemanticGraphs,
 )
 from hatn_sim.perception import Motion, Perception, motion_along
-from hatn_sim.road import LINE_STEP_M, MAX_CONFLICTS, Road
+from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.speed_profile import ACCELERATION_MPS2, allowed_speed_mps, free_travel_m
 
 INTERACTION_M: Final = 60.0
@@ -59,6 +60,7 @@ CONTEXT: Final = (
 )
 """The last axis of `SemanticGraphs.context`: what holds now, beyond the paper's seven features."""
 CONTEXT_SIZE: Final = len(CONTEXT)
+_COLUMN: Final = {name: column for column, name in enumerate(CONTEXT)}
 ROAD_CONTEXT: Final = 2 * len(AHEAD_AT_M) + 1
 """The first entries are of the road ahead, the others of the interaction."""
 FAR_S: Final = 10.0
@@ -70,9 +72,11 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
     nodes = _interacting(road, seen, ego)
     rear, ego_m, rear_m, focus, kind, node_mask, conflict_s = nodes
     has_conflict: BoolArray = np.asarray(node_mask[:, 1:].any(axis=1))
-    front, front_type, front_s = _fronts(road, seen, rear, rear_m, node_mask, has_conflict)
+    gates = _next_gates(road, seen)
+    front, front_type, front_s = _fronts(seen, gates, rear, rear_m, node_mask, has_conflict)
     x, history = _features(road, seen, rear, rear_m, front, front_type, front_s, node_mask)
-    context = _context(road, seen, ego, rear, front, (ego_m, rear_m), focus, kind, node_mask)
+    context = _context(road, seen, gates, ego, rear, front, (ego_m, rear_m), focus, kind)
+    context[~node_mask] = 0.0
     point_xy = road.locate(
         np.repeat(seen.lines.line[ego], MAX_NODES), conflict_s.ravel(), np.zeros(conflict_s.size)
     ).reshape(*conflict_s.shape, 2)
@@ -88,7 +92,7 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
         focus_mask=focus,
         history_mask=history,
         has_conflict=has_conflict,
-        ego_at_red=_at_red(road, seen, ego, ego_m[:, 0]),
+        ego_at_red=gates.closed_m[ego] + 0.5 * seen.scene.size_m[ego, 0] <= ego_m[:, 0],
         ego_to_conflict_m=ego_m,
         rear_to_conflict_m=rear_m,
         conflict_xy_m=np.where(node_mask[:, :, None], point_xy, 0.0),
@@ -103,7 +107,7 @@ def _interacting(
 
     Node 0 carries the ego's own nearest conflict (the focus), or a point `FREE_M` ahead.
     """
-    scene, line, s = seen.scene, seen.lines.line, seen.lines.s_m
+    scene, s = seen.scene, seen.lines.s_m
     shape = (len(ego), MAX_NODES)
     rear = np.full(shape, -1, dtype=np.int64)
     ego_m, rear_m, conflict_s = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -113,67 +117,99 @@ def _interacting(
     ego_m[:, 0] = rear_m[:, 0] = FREE_M
     row_of = np.full(len(scene.ids), -1, dtype=np.int64)
     row_of[ego] = np.arange(len(ego))
-    if len(ego) > 1:
-        tree = KDTree(scene.xy_m[ego])
-        pairs = tree.query_pairs(2 * INTERACTION_M, output_type="ndarray")
-        one = ego[np.concatenate((pairs[:, 0], pairs[:, 1]))]
-        other = ego[np.concatenate((pairs[:, 1], pairs[:, 0]))]
-        table = road.conflict_table(line[one], line[other])
-        to_one = table[:, :, 1] - s[one, None]
-        to_other = table[:, :, 4] - s[other, None]
-        active = (to_one > -PASSED_M) & (to_other > -PASSED_M)
-        active &= (to_one <= INTERACTION_M) & (to_other <= INTERACTION_M)
-        some = np.flatnonzero(active.any(axis=1))
-        which = np.where(active[some], to_one[some], np.inf).argmin(axis=1)
-        flat = some * MAX_CONFLICTS + which
-        one, other = row_of[one[some]], other[some]
-        to_one, to_other = to_one.ravel()[flat], to_other.ravel()[flat]
-        key = np.maximum(to_one, to_other)
-        id_rank = np.argsort(np.argsort(np.array(scene.ids)))[other]
-        order = np.lexsort((id_rank, key, one))
-        one, other, flat = one[order], other[order], flat[order]
-        to_one, to_other = to_one[order], to_other[order]
-        begins = np.concatenate(([True], one[1:] != one[:-1])) if len(one) else np.zeros(0, bool)
-        rank = np.arange(len(one)) - np.maximum.accumulate(np.where(begins, np.arange(len(one)), 0))
-        keep = rank < MAX_NODES - 1
-        e, m = one[keep], rank[keep] + 1
-        rear[e, m], ego_m[e, m], rear_m[e, m] = other[keep], to_one[keep], to_other[keep]
-        mask[e, m] = True
-        kind[e, m] = table[:, :, 6].ravel()[flat[keep]].astype(np.int64)
-        nearest = np.where(mask[:, 1:], ego_m[:, 1:], np.inf).min(axis=1)
+    met = active_conflicts(road, seen, ego)
+    if len(met.ego):
+        one, other = row_of[met.ego], met.other
+        order = np.lexsort((met.rank, np.maximum(met.ego_m, met.other_m), one))
+        one, other = one[order], other[order]
+        begins = np.concatenate(([True], one[1:] != one[:-1]))
+        nth = np.arange(len(one)) - np.maximum.accumulate(np.where(begins, np.arange(len(one)), 0))
+        keep = nth < MAX_NODES - 1
+        e, m, chosen = one[keep], nth[keep] + 1, order[keep]
+        rear[e, m], mask[e, m] = other[keep], True
+        ego_m[e, m], rear_m[e, m] = met.ego_m[chosen], met.other_m[chosen]
+        kind[e, m] = met.type[chosen]
+        to_conflict_m = np.where(mask[:, 1:], ego_m[:, 1:], np.inf)
+        nearest = to_conflict_m.min(axis=1)
         focus[:, 1:] = mask[:, 1:] & (ego_m[:, 1:] - nearest[:, None] <= GROUP_M)
         has = np.isfinite(nearest)
         ego_m[has, 0] = rear_m[has, 0] = nearest[has]
-        first = np.where(mask[:, 1:], ego_m[:, 1:], np.inf).argmin(axis=1) + 1
-        kind[has, 0] = kind[has, first[has]]
+        kind[has, 0] = kind[has, to_conflict_m.argmin(axis=1)[has] + 1]
     conflict_s[:] = s[ego][:, None] + ego_m
     return rear, ego_m, rear_m, focus, kind, mask, conflict_s
 
 
-def _next_gate_m(road: Road, seen: Perception, types: tuple[Gate, ...]) -> FloatArray:
-    """Distance [N] of each vehicle's front bumper to the next stop or give-way line ahead.
+@dataclass(frozen=True, eq=False)
+class Active:
+    """Who meets whom, one row for each ego and other vehicle: the first conflict of the two."""
 
-    A signal counts where it is closed. inf where there is none.
-    """
+    ego: IntArray  # [I] vehicle
+    other: IntArray  # [I] vehicle
+    ego_m: FloatArray  # [I] of the ego to the conflict, along its line
+    other_m: FloatArray  # [I]
+    type: IntArray  # [I] ConflictType
+    rank: IntArray  # [I] of the other's id
+
+
+def active_conflicts(road: Road, seen: Perception, ego: IntArray) -> Active:
+    """Conflicts within reach of both vehicles: for each pair the first along the ego's line."""
+    line, s, ids = seen.lines.line, seen.lines.s_m, seen.scene.ids
+    near = np.zeros((0, 2), dtype=np.int64)
+    if len(ego) > 1:
+        tree = KDTree(seen.scene.xy_m[ego])
+        near = ego[tree.query_pairs(2 * INTERACTION_M, output_type="ndarray")]
+    met = road.conflict_table.of_pairs(line[near[:, 0]], line[near[:, 1]])
+    pair = near[met.pair]
+    to_m = met.point_s_m - s[pair]
+    active = ((to_m > -PASSED_M) & (to_m <= INTERACTION_M)).all(axis=1)
+    pair, to_m, kind = pair[active], to_m[active], met.type[active]
+    ego_of = np.concatenate((pair[:, 0], pair[:, 1]))
+    other = np.concatenate((pair[:, 1], pair[:, 0]))
+    ego_m = np.concatenate((to_m[:, 0], to_m[:, 1]))
+    other_m = np.concatenate((to_m[:, 1], to_m[:, 0]))
+    kind = np.concatenate((kind, kind))
+    order = np.lexsort((ego_m, ego_of * len(ids) + other))
+    both = (ego_of * len(ids) + other)[order]
+    first = order[np.concatenate(([True], both[1:] != both[:-1]))] if len(order) else order
+    other = other[first]
+    rank = np.argsort(np.argsort(np.array(ids)))[other] if len(other) else other
+    return Active(ego_of[first], other, ego_m[first], other_m[first], kind[first], rank)
+
+
+@dataclass(frozen=True, eq=False)
+class _Gates:
+    """Distance [N] of every front bumper to what it meets first of its kind; inf: nothing."""
+
+    stop_m: FloatArray  # stop line
+    give_way_m: FloatArray  # give-way line
+    closed_m: FloatArray  # closed signal
+
+
+def _next_gates(road: Road, seen: Perception) -> _Gates:
     line = np.maximum(seen.lines.line, 0)
     if not len(road.count):
-        return np.full(len(line), np.inf)
-    kind, signal = road.gate_type[line], road.gate_signal[line]
-    closed = seen.scene.signal_closed
-    shut = (
-        np.concatenate((closed, [False]))[signal] if len(closed) else np.zeros(signal.shape, bool)
-    )
-    counts = np.isin(kind, types) | ((kind == Gate.SIGNAL) & shut & (signal >= 0))
+        nothing = np.full(len(line), np.inf)
+        return _Gates(nothing, nothing, nothing)
     front = seen.lines.s_m + 0.5 * seen.scene.size_m[:, 0]
-    # A vehicle that stands with its bumper a little over the line is still behind it.
     to_gate = road.gate_s_m[line] - front[:, None]
-    nearest = np.where(counts & (to_gate > -0.5), to_gate, np.inf).min(axis=1)
-    return np.where(seen.lines.line >= 0, nearest, np.inf)
+    # A vehicle that stands with its bumper a little over the line is still behind it.
+    ahead = (to_gate > -0.5) & (seen.lines.line >= 0)[:, None]
+    kind, signal = road.gate_type[line], road.gate_signal[line]
+    closed = np.concatenate((seen.scene.signal_closed, [False]))  # found by -1
+
+    def nearest_m(counts: BoolArray) -> FloatArray:
+        return np.where(ahead & counts, to_gate, np.inf).min(axis=1)
+
+    return _Gates(
+        stop_m=nearest_m(kind == Gate.STOP_LINE),
+        give_way_m=nearest_m(kind == Gate.GIVE_WAY_LINE),
+        closed_m=nearest_m((kind == Gate.SIGNAL) & closed[signal]),
+    )
 
 
 def _fronts(
-    road: Road,
     seen: Perception,
+    gates: _Gates,
     rear: IntArray,
     rear_m: FloatArray,
     node_mask: BoolArray,
@@ -188,8 +224,7 @@ def _fronts(
     leader_s = np.where(leader >= 0, seen.leader_s_m[at], np.inf)
     lead_half = np.where(leader >= 0, 0.5 * seen.scene.size_m[np.maximum(leader, 0), 0], 0.0)
     vehicle_s = np.where(leader_s <= conflict_s, leader_s - lead_half, np.inf)
-    gate_m = _next_gate_m(road, seen, (Gate.STOP_LINE,))[at]
-    stop_s = s + half_m + gate_m
+    stop_s = s + half_m + np.minimum(gates.stop_m, gates.closed_m)[at]
     stop_s = np.where(stop_s <= conflict_s, stop_s, np.inf)
     front_s = np.minimum(np.minimum(vehicle_s, stop_s), conflict_s)
     free = ~has_conflict[:, None] & (np.arange(rear.shape[1]) == 0)
@@ -237,62 +272,88 @@ def _leader_motion(road: Road, seen: Perception) -> Motion:
     there = seen.leader >= 0
     line = np.where(there, seen.lines.line, -1)
     s_now = np.where(there, seen.leader_s_m, 0.0)
-    # A leader may have come in from another lane: its feet are searched, not tracked.
-    return motion_along(road, seen.tracks, line, s_now, np.maximum(seen.leader, 0), reach_m=2.5)
+    # A leader may have come in from another lane, where it drove a longer or shorter way.
+    return motion_along(road, seen.tracks, line, s_now, np.maximum(seen.leader, 0), steps=2)
 
 
 def _context(
     road: Road,
     seen: Perception,
+    gates: _Gates,
     ego: IntArray,
     rear: IntArray,
     front: IntArray,
     to_conflict_m: tuple[FloatArray, FloatArray],
     focus: BoolArray,
     kind: IntArray,
-    node_mask: BoolArray,
 ) -> FloatArray:
     """What holds now [E, M, CONTEXT_SIZE], see `CONTEXT`."""
-    scene, lines = seen.scene, seen.lines
     at = np.maximum(rear, 0)
+    ego_m, rear_m = to_conflict_m
+    vehicle = _vehicle_context(road, seen, gates)
+    context = np.empty((*rear.shape, CONTEXT_SIZE))
+
+    def put(name: str, values: FloatArray | IntArray | BoolArray) -> None:
+        context[..., _COLUMN[name]] = values
+
+    context[..., :ROAD_CONTEXT] = vehicle.road[at]
+    put("waited_s of the rear vehicle", seen.waited_s[at])
+    put("waited_s of the ego", seen.waited_s[ego, None])
+    put("length_m of the rear vehicle", seen.scene.size_m[at, 0])
+    put("gate ahead of the rear vehicle before the conflict", vehicle.to_gate_m[at] <= rear_m)
+    put("gate ahead of the ego before the conflict", vehicle.to_gate_m[ego, None] <= ego_m)
+    put("conflict is a merge", kind)
+    put("node is of the focus group", focus)
+    put("acceleration_mps2 of the rear vehicle", vehicle.acceleration_mps2[at])
+    put("lateral_m of the rear vehicle", seen.lines.d_m[at])
+    put("distance_m of the rear vehicle to its leader, up to FREE_M", vehicle.gap_m[at])
+    put("speed_mps of the leader of the rear vehicle", vehicle.leader_mps[at])
+    put("leader there", seen.leader[at] >= 0)
+    speed = seen.own.speed_mps[:, -1]
+    put(
+        "earliest_s of the rear vehicle at the conflict, up to FAR_S",
+        _earliest_s(rear_m, speed[at]),
+    )
+    earliest_s = _earliest_s(ego_m, speed[ego, None])
+    put("earliest_s of the ego at the node's conflict, up to FAR_S", earliest_s)
+    put("front is a vehicle of the focus group", _queued(rear, front, focus))
+    return context
+
+
+@dataclass(frozen=True, eq=False)
+class _VehicleContext:
+    """What the context says of each vehicle, whatever node it is in."""
+
+    road: FloatArray  # [N, ROAD_CONTEXT]
+    to_gate_m: FloatArray  # [N] from the centre
+    acceleration_mps2: FloatArray  # [N]
+    gap_m: FloatArray  # [N] to the leader
+    leader_mps: FloatArray  # [N]
+
+
+def _vehicle_context(road: Road, seen: Perception, gates: _Gates) -> _VehicleContext:
+    scene, lines = seen.scene, seen.lines
     safe = np.maximum(lines.line, 0)
     profile = np.zeros((len(scene.ids), ROAD_CONTEXT))
     if len(road.count):
         index = ((lines.s_m[:, None] + np.array(AHEAD_AT_M)) / LINE_STEP_M).astype(np.int64)
         index = np.clip(index, 0, road.count[safe][:, None] - 1)
-        profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[safe[:, None], index]
-        profile[:, len(AHEAD_AT_M) : -1] = road.curvature_per_m[safe[:, None], index]
+        index += road.offset[safe][:, None]
+        profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[index]
+        profile[:, len(AHEAD_AT_M) : -1] = road.curvature_per_m[index]
         allowed = allowed_speed_mps(road, safe, lines.s_m)
         profile[:, -1] = free_travel_m(allowed, seen.own.speed_mps[:, -1])
-    gate_m = _next_gate_m(road, seen, (Gate.STOP_LINE, Gate.GIVE_WAY_LINE))
-    to_gate = gate_m + 0.5 * scene.size_m[:, 0]
-    acceleration = (seen.own.speed_mps[:, -1] - seen.own.speed_mps[:, -3]) / 0.2
-    has_leader = seen.leader >= 0
-    lead = np.maximum(seen.leader, 0)
     half_m = 0.5 * scene.size_m[:, 0]
+    has_leader, lead = seen.leader >= 0, np.maximum(seen.leader, 0)
     gap = np.where(has_leader, seen.leader_s_m - lines.s_m - half_m - half_m[lead], FREE_M)
-    gap = np.clip(gap, 0.0, FREE_M)
-    lead_speed = np.where(has_leader, scene.speed_mps[lead], 0.0)
-    ego_at = np.repeat(ego[:, None], rear.shape[1], axis=1)
-    columns = [
-        *np.moveaxis(profile[at], -1, 0),
-        seen.waited_s[at],
-        seen.waited_s[ego_at],
-        scene.size_m[at, 0],
-        (to_gate[at] <= to_conflict_m[1]).astype(np.float64),
-        (to_gate[ego_at] <= to_conflict_m[0]).astype(np.float64),
-        kind.astype(np.float64),
-        focus.astype(np.float64),
-        acceleration[at],
-        lines.d_m[at],
-        gap[at],
-        lead_speed[at],
-        has_leader[at].astype(np.float64),
-        _earliest_s(to_conflict_m[1], seen.own.speed_mps[at, -1]),
-        _earliest_s(to_conflict_m[0], seen.own.speed_mps[ego_at, -1]),
-        _queued(rear, front, focus).astype(np.float64),
-    ]
-    return np.where(node_mask[:, :, None], np.stack(columns, axis=-1), 0.0)
+    gates_m = np.minimum(np.minimum(gates.stop_m, gates.give_way_m), gates.closed_m)
+    return _VehicleContext(
+        road=profile,
+        to_gate_m=gates_m + half_m,
+        acceleration_mps2=(seen.own.speed_mps[:, -1] - seen.own.speed_mps[:, -3]) / 0.2,
+        gap_m=np.clip(gap, 0.0, FREE_M),
+        leader_mps=np.where(has_leader, scene.speed_mps[lead], 0.0),
+    )
 
 
 def _earliest_s(distance_m: FloatArray, speed_mps: FloatArray) -> FloatArray:
@@ -311,9 +372,3 @@ def _queued(rear: IntArray, front: IntArray, focus: BoolArray) -> BoolArray:
     same = front[:, :, None] == others
     same[:, :, 0] = False  # the ego is no obstacle to those behind it on another line
     return np.asarray(same.any(axis=2))
-
-
-def _at_red(road: Road, seen: Perception, ego: IntArray, to_conflict_m: FloatArray) -> BoolArray:
-    """Whether a closed signal stands before the egos' conflict [E]."""
-    to_signal_m = _next_gate_m(road, seen, ())[ego] + 0.5 * seen.scene.size_m[ego, 0]
-    return np.asarray(to_signal_m <= to_conflict_m)

@@ -209,7 +209,7 @@ def _renew(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> LineSt
                 for name in road.lanes_near(scene.xy_m[i], float(scene.yaw_rad[i]), kind)
             ]
         else:
-            prefixes = [road.trim(road.lines[own[i]].route, float(state.s_m[i, best[i]]))]
+            prefixes = [road.trim(int(own[i]), float(state.s_m[i, best[i]]))]
         found = list(dict.fromkeys(k for p in prefixes for k in road.branches(p, kind)))
         if not found:
             line[i], chosen[i] = -1, -1

@@ -32,6 +32,8 @@ from hatn_sim.road import Road
 LineSource = Literal["inferred", "route"]
 MAIN: Final = 0
 """The first adviser is the one whose advice is shown and acted on; the others are compared."""
+RELEASE_FRAMES: Final = 300
+"""Reference lines that nobody was near for so long are let go: long runs in cities stay small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +168,8 @@ def run(
             else:
                 states[k] = observe(adviser, states[k], frame)
         write(index, frame, advice)
+        if index % RELEASE_FRAMES == 0:
+            road.release(idle_frames=RELEASE_FRAMES)
         done = index + 1
         if frame.done or done == frames:
             break

@@ -90,6 +90,7 @@ def perceive(
         return known
     tracks = extend(state.seen.tracks, scene)
     line_state, lines = follow_lines(state.line_state, road, tracks, scene, routes)
+    road.touch(line_state.line)
     own = motion_along(road, tracks, lines.line, lines.s_m, np.arange(len(scene.ids)))
     leader, leader_s_m = find_leaders(road, scene, lines)
     seen = Perception(scene, tracks, lines, own, leader, leader_s_m, _waited_s(tracks))
@@ -104,12 +105,12 @@ def motion_along(
     line: IntArray,
     s_now_m: FloatArray,
     vehicle: IntArray,
-    reach_m: float = 0.0,
+    steps: int = 1,
 ) -> Motion:
     """The history of vehicles [Q] on lines [Q], where they are now at arc lengths `s_now_m`.
 
     Entries without a line (-1) stay zero. The search goes back from now by the distance travelled,
-    so that a line which meets itself again is followed on the right lap; `reach_m` widens it for
+    so that a line which meets itself again is followed on the right lap; it takes more `steps` for
     vehicles that may have come from elsewhere.
     """
     shape = (len(vehicle), HISTORY_FRAMES)
@@ -118,17 +119,12 @@ def motion_along(
     on = np.flatnonzero(line >= 0)
     if len(on):
         xy = tracks.xy_m[vehicle[on], -HISTORY_FRAMES:]
-        steps = np.linalg.norm(np.diff(xy, axis=1), axis=2)
+        step_m = np.linalg.norm(np.diff(xy, axis=1), axis=2)
         behind = np.zeros((len(on), HISTORY_FRAMES))
-        behind[:, :-1] = np.cumsum(steps[:, ::-1], axis=1)[:, ::-1]
-        guess = (s_now_m[on, None] - behind).ravel()
+        behind[:, :-1] = np.cumsum(step_m[:, ::-1], axis=1)[:, ::-1]
         flat_line = np.repeat(line[on], HISTORY_FRAMES)
         flat_xy = xy.reshape(-1, 2)
-        flat_s, flat_d = (
-            road.project(flat_line, flat_xy, guess, reach_m)
-            if reach_m
-            else road.track(flat_line, flat_xy, guess)
-        )
+        flat_s, flat_d = road.track(flat_line, flat_xy, (s_now_m[on, None] - behind).ravel(), steps)
         tangent = road.line_yaw_rad(flat_line, flat_s).reshape(len(on), -1)
         s[on], d[on] = flat_s.reshape(len(on), -1), flat_d.reshape(len(on), -1)
         phi[on] = wrap_angle(tracks.yaw_rad[vehicle[on], -HISTORY_FRAMES:] - tangent)

@@ -77,7 +77,7 @@ def iterparse_xml(path: Path, root_tag: str) -> Iterator[Element]:
                 depth += 1
                 if root is None:
                     root = element
-                    _check_root(path, root, root_tag)
+                    _check_root(path, root.tag, root_tag)
                 continue
             depth -= 1
             if depth == 1 and root is not None:
@@ -88,10 +88,33 @@ def iterparse_xml(path: Path, root_tag: str) -> Iterator[Element]:
         parser.close()
 
 
-def _check_root(path: Path, root: Element, expected: str) -> None:
-    if root.tag != expected:
+def check_xml(path: Path, root_tag: str) -> None:
+    """Reads a document through without keeping any of it, for a parser that is less careful.
+
+    Raises:
+        InputError: as `iterparse_xml`, but for the size of its records.
+    """
+    parser = expat.ParserCreate()
+    roots: list[str] = []
+
+    def begin(tag: str, _: object) -> None:
+        roots.append(tag)
+        parser.StartElementHandler = None
+
+    parser.StartElementHandler = begin
+    for block in _checked_blocks(path):
+        with _told(path):
+            parser.Parse(block)
+        if roots:
+            _check_root(path, roots[0], root_tag)
+    with _told(path):
+        parser.Parse(b"", True)
+
+
+def _check_root(path: Path, tag: str, expected: str) -> None:
+    if tag != expected:
         raise InputError(
-            f"{path}: expected XML of <{expected}>, found <{root.tag}>; give the right file"
+            f"{path}: expected XML of <{expected}>, found <{tag}>; give the right file"
         )
 
 

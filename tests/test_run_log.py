@@ -20,6 +20,7 @@ from hatn_sim.predictors.find import load_predictor
 from hatn_sim.recordings.run_log import RunRecording
 from hatn_sim.simulators.recorded import RecordedSimulator
 from hatn_sim.simulators.sumo import SumoSimulator
+from hatn_sim.traffic import open_traffic
 
 HEADER = {"scene": "roundabout8", "seed": 1}
 FRAMES = 80
@@ -66,8 +67,11 @@ def simulated(out: Path, predictors: Sequence[str], egos: frozenset[str] | None)
 
 
 def replayed(log: Path, out: Path, predictors: Sequence[str], egos: frozenset[str] | None) -> None:
-    with RecordedSimulator(RunRecording(log)) as simulator:
+    simulator = open_traffic(load_scenario(str(log)))
+    try:
         log_a_run(simulator, simulator.reset(0), out, predictors, egos, 10_000)
+    finally:
+        simulator.close()
 
 
 @pytest.fixture(autouse=True)

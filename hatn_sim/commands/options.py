@@ -4,6 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from hatn_sim.config import Scenario
+
+WARM_UP_S: Final = 60.0
+"""For traffic to build up in a shipped scene, unless told otherwise."""
 
 
 def seconds(text: str) -> float:
@@ -59,6 +67,74 @@ def whole_number(text: str) -> int:
 def whole_numbers(text: str) -> tuple[int, ...]:
     """Whole numbers above 0, parted by commas."""
     return tuple(whole_number(part.strip()) for part in text.split(","))
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """SCENE, or recorded tracks in its place."""
+    parser.add_argument(
+        "scene", metavar="SCENE", nargs="?", help="a scene's name, a .sumocfg or a run's folder"
+    )
+    parser.add_argument(
+        "--tracks",
+        nargs="+",
+        metavar="FILE",
+        help="recorded tracks instead of SCENE: INTERACTION .csv or SUMO's FCD; patterns may be "
+        "quoted",
+    )
+    parser.add_argument(
+        "--map", type=Path, metavar="FILE", help="that they were driven on: .osm or .net.xml"
+    )
+    parser.add_argument(
+        "--recordings", metavar="000-004", help="only these of the tracks (default: all)"
+    )
+
+
+def chosen_scenario(arguments: argparse.Namespace) -> Scenario:
+    """The scene that was named, or that of the tracks. Raises InputError."""
+    from hatn_sim.config import load_scenario, load_tracks, recording_names
+    from hatn_sim.errors import InputError
+
+    if arguments.tracks is None:
+        if arguments.scene is None:
+            raise InputError("name a SCENE, or give --tracks FILE --map FILE")
+        for option, value in (("--map", arguments.map), ("--recordings", arguments.recordings)):
+            if value is not None:
+                raise InputError(f"{option} {value} goes with --tracks; leave it out")
+        return load_scenario(arguments.scene, arguments.density, arguments.risk)
+    if arguments.scene is not None:
+        raise InputError(f"either SCENE or --tracks, found both ({arguments.scene!r}); drop one")
+    for option, value in (("--density", arguments.density), ("--risk", arguments.risk)):
+        if value is not None:
+            raise InputError(f"{option} {value} is for shipped scenes; leave it out with --tracks")
+    wanted = () if arguments.recordings is None else recording_names(arguments.recordings)
+    return load_tracks(arguments.tracks, arguments.map, wanted)
+
+
+def scene_words(arguments: argparse.Namespace) -> list[str]:
+    """The words of a command that name the same scene."""
+    if arguments.tracks is None:
+        return [arguments.scene]
+    words = ["--tracks", *arguments.tracks]
+    words += [] if arguments.map is None else ["--map", str(arguments.map)]
+    return words + ([] if arguments.recordings is None else ["--recordings", arguments.recordings])
+
+
+def chosen_seed(arguments: argparse.Namespace, scenario: Scenario) -> int | None:
+    """The seed of the traffic; None where it is recorded."""
+    from hatn_sim.errors import InputError
+
+    if scenario.recorded is None:
+        return 1 if arguments.seed is None else int(arguments.seed)
+    if arguments.seed is not None:
+        raise InputError(f"--seed {arguments.seed}: recorded traffic has no seed; leave it out")
+    if arguments.lines == "route" and scenario.recorded.map_path is not None:
+        raise InputError("--lines route: recorded tracks know no routes; leave it out")
+    return None
+
+
+def default_warm_up_s(scenario: Scenario) -> float:
+    """A shipped scene begins empty; recorded traffic does not, and a user's may be long."""
+    return 0.0 if scenario.is_user_config or scenario.recorded is not None else WARM_UP_S
 
 
 def add_traffic(parser: argparse.ArgumentParser) -> None:

@@ -9,10 +9,14 @@ from typing import Any, Self
 
 
 class Progress:
-    """Shows how far a run is; silent with `quiet`, plain lines where stderr is no terminal."""
+    """Shows how far a run is; silent with `quiet`, plain lines where stderr is no terminal.
 
-    def __init__(self, name: str, total: int, dt_s: float, quiet: bool) -> None:
+    `total` is None where nobody knows how long it will be.
+    """
+
+    def __init__(self, name: str, total: int | None, dt_s: float, quiet: bool) -> None:
         self._name, self._total, self._dt_s, self._quiet = name, total, dt_s, quiet
+        self._of = "" if total is None else f" of {total}"
         self._started = self._shown = time.monotonic()
         self._bar: Any = None
         self._task: Any = None
@@ -26,7 +30,7 @@ class Progress:
             self._bar = Bar(
                 TextColumn("{task.description}"),
                 BarColumn(),
-                TextColumn("{task.completed:.0f} of {task.total:.0f} steps"),
+                TextColumn("{task.completed:.0f}" + self._of + " steps"),
                 TextColumn("{task.fields[rate]}"),
                 TimeRemainingColumn(),
                 console=Console(stderr=True),
@@ -48,7 +52,7 @@ class Progress:
     def show(self, done: int, vehicles: int) -> None:
         """Called at every step; shows itself a few times a second."""
         now = time.monotonic()
-        if self._quiet or (now - self._shown < 0.2 and done < self._total):
+        if self._quiet or (now - self._shown < 0.2 and done != self._total):
             return
         times = done * self._dt_s / max(now - self._started, 1e-3)
         rate = f"{vehicles} vehicles now, {times:.1f}x real time"
@@ -57,4 +61,4 @@ class Progress:
             self._bar.update(self._task, completed=done, rate=rate)
         elif now - self._shown > 10.0 or done == self._total:
             self._shown = now
-            print(f"{self._name}: {done} of {self._total} steps, {rate}", file=sys.stderr)
+            print(f"{self._name}: {done}{self._of} steps, {rate}", file=sys.stderr)

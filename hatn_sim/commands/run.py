@@ -1,8 +1,9 @@
 """Simulate a scene with a predictor on every vehicle, at every tenth of a second.
 
-SCENE is the name of a scene that ships (`hatn-sim scenarios`), a scenario.toml, or your own
-.sumocfg. A folder is left behind with tracks, predictions, suggestions, alerts, scores and a
-picture; the scores are printed at the end.
+SCENE is the name of a scene that ships (`hatn-sim scenarios`), a scenario.toml, your own .sumocfg,
+or the folder of a run, to be replayed. Recorded tracks are given by --tracks and --map instead. A
+folder is left behind with tracks, predictions, suggestions, alerts, scores and a picture; the
+scores are printed at the end.
 """
 
 from __future__ import annotations
@@ -11,34 +12,48 @@ import argparse
 import shlex
 import sys
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hatn_sim.commands.options import add_traffic, names, seconds, seconds_or_none
+from hatn_sim.commands.options import (
+    add_scene,
+    add_traffic,
+    chosen_scenario,
+    chosen_seed,
+    default_warm_up_s,
+    names,
+    scene_words,
+    seconds,
+    seconds_or_none,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from hatn_sim.config import Scenario
-    from hatn_sim.datatypes import Advice, Frame, Predictor, Score
+    from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
     from hatn_sim.log import Run, RunWriter
-    from hatn_sim.simulators.sumo import SumoSimulator
 
 EXAMPLES = """examples:
   hatn-sim run intersection5
   hatn-sim run roundabout8 --duration 120 --compare constant_velocity,idm --seed 7
   hatn-sim run my/town.sumocfg --egos bus_12,car_3 --out runs/town
+  hatn-sim run --tracks 'site/vehicle_tracks_*.csv' --map site.osm --recordings 000-004
 """
-WARM_UP_S = 60.0
+DURATION_S = 60.0
 STEP_S = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hatn-sim run`."""
-    parser.add_argument("scene", metavar="SCENE", help="a scene's name, or a .sumocfg")
+    add_scene(parser)
     parser.add_argument(
-        "--duration", type=seconds, default=60.0, metavar="S", help="seconds to log (default: 60)"
+        "--duration",
+        type=seconds,
+        metavar="S",
+        help="seconds to log (default: 60, of recorded tracks: all)",
     )
     parser.add_argument(
         "--warm-up",
@@ -46,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the traffic (default: 1)")
+    parser.add_argument("--seed", type=int, help="of the traffic (default: 1)")
     parser.add_argument(
         "--predictor",
         default="hatn",
@@ -90,30 +105,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
-    from hatn_sim.config import load_scenario
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
     from hatn_sim.log.road_file import ROAD_FILE, write_road
-    from hatn_sim.simulators.sumo import SumoSimulator
+    from hatn_sim.traffic import open_traffic
 
     started = time.monotonic()
-    scenario = load_scenario(arguments.scene, arguments.density, arguments.risk)
+    scenario = chosen_scenario(arguments)
+    arguments.seed = chosen_seed(arguments, scenario)
     if arguments.warm_up is None:
-        arguments.warm_up = 0.0 if scenario.is_user_config else WARM_UP_S
+        arguments.warm_up = default_warm_up_s(scenario)
+    if arguments.duration is None and scenario.recorded is None:
+        arguments.duration = DURATION_S
     out: Path = arguments.out or _free_folder(scenario.name)
     _check_out(out)
     predictors = _load_predictors(arguments)
     header = make_header(arguments, scenario, predictors)
     where = ""
     try:
-        with SumoSimulator(scenario) as simulator:
-            first = simulator.reset(arguments.seed)
+        with closing(open_traffic(scenario)) as simulator:
+            first = simulator.reset(arguments.seed or 0)
             if not arguments.quiet:
                 for notice in simulator.notices:
                     print(f"hatn-sim: {notice}", file=sys.stderr)
             with RunWriter(out, header) as writer:
                 where = f"; the log up to here is in {out}"
-                write_road(out / ROAD_FILE, simulator.lanes)
+                write_road(out / ROAD_FILE, simulator.road.lanes.values())
                 done = _simulate(arguments, simulator, first, predictors, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})
@@ -162,7 +179,7 @@ class Simulated:
 
 def _simulate(
     arguments: argparse.Namespace,
-    simulator: SumoSimulator,
+    simulator: Simulator,
     frame: Frame,
     predictors: Sequence[Predictor],
     writer: RunWriter,
@@ -173,16 +190,17 @@ def _simulate(
     egos = None if arguments.egos is None else frozenset(arguments.egos)
     advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]
     frame = warm_up(simulator, frame, round(arguments.warm_up / simulator.dt_s))
-    total = max(1, round(arguments.duration / simulator.dt_s))
+    duration_s: float | None = arguments.duration
+    total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))
     began = time.monotonic()
-    with Progress(simulator.scenario.name, total, simulator.dt_s, arguments.quiet) as progress:
+    with Progress(simulator.name, total, simulator.dt_s, arguments.quiet) as progress:
 
         def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
             writer.write(index, frame, advice)
             progress.show(index + 1, len(frame.scene.ids))
 
-        frames = run(simulator, advisers, frame, total, write)
-    if frames < total and not arguments.quiet:
+        frames = run(simulator, advisers, frame, total or sys.maxsize, write)
+    if total is not None and frames < total and not arguments.quiet:
         print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
     return Simulated(frames, began, time.monotonic() - began)
 
@@ -267,6 +285,7 @@ def make_header(
         "seed": arguments.seed,
         "adapt": "none",
         "settings": {
+            **_recorded_settings(scenario),
             "duration_s": arguments.duration,
             "warm_up_s": arguments.warm_up,
             "predictor": predictors[0].name,
@@ -282,9 +301,24 @@ def make_header(
     }
 
 
+def _recorded_settings(scenario: Scenario) -> dict[str, Any]:
+    if scenario.recorded is None:
+        return {}
+    source = scenario.recorded
+    return {
+        "tracks": [path.name for path in source.tracks],
+        "map": None if source.map_path is None else source.map_path.name,
+        "recordings": list(source.recordings),
+    }
+
+
 def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
-    words = ["hatn-sim", "run", arguments.scene, "--seed", str(arguments.seed)]
-    words += ["--duration", f"{arguments.duration:g}", "--warm-up", f"{arguments.warm_up:g}"]
+    words = ["hatn-sim", "run", *scene_words(arguments)]
+    if arguments.seed is not None:
+        words += ["--seed", str(arguments.seed)]
+    if arguments.duration is not None:
+        words += ["--duration", f"{arguments.duration:g}"]
+    words += ["--warm-up", f"{arguments.warm_up:g}"]
     words += ["--predictor", arguments.predictor, "--lines", arguments.lines]
     if arguments.weights is not None:
         words += ["--weights", str(arguments.weights)]

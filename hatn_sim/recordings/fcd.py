@@ -50,13 +50,22 @@ class FcdRecording:
         self._path = path
         self._map_path = source.map_path
 
-    @cached_property
+    @property
     def lanes(self) -> list[Lane]:
+        return self._lanes
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the recording lacks. Reads the beginning of the file; raises as `frames` does."""
+        return self._checked
+
+    @cached_property
+    def _lanes(self) -> list[Lane]:
         return read_lanes(self._map_path)
 
     @cached_property
-    def notices(self) -> tuple[str, ...]:
-        """What the recording lacks. Reads the beginning of the file; raises as `frames` does."""
+    def _checked(self) -> tuple[str, ...]:
+        """The beginning of the file is looked at once; its notices."""
         head = list(first_moments(self._moments()))
         if not any(moment.scene.ids for moment in head):
             raise InputError(
@@ -65,7 +74,7 @@ class FcdRecording:
             )
         check_speeds(self._path, head)
         off_net = check_net(self._path, self._map_path, self.lanes, head)
-        notices = lacks(head, self._types)
+        notices = lacks(head, self._types, self.lanes)
         return tuple(notices if off_net is None else [*notices, off_net])
 
     def frames(self) -> Iterator[Frame]:
@@ -75,7 +84,7 @@ class FcdRecording:
             InputError: where the file is at fault, when that place is reached; at the beginning
                 if positions do not fit the speeds or the net.
         """
-        _ = self.notices
+        _ = self._checked
         return with_end(self._frames())
 
     def _frames(self) -> Iterator[Frame]:

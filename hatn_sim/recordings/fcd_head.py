@@ -20,6 +20,8 @@ HEAD_SAMPLES: Final = 2000
 """Positions of vehicles looked at before the first frame is given."""
 FAR_M: Final = 10.0
 """A vehicle farther than this from every centre line is off the net."""
+ON_LANE_M: Final = 2.0
+"""SUMO drives along centre lines: farther off at the median, recording and net are shifted."""
 DRIVING_MPS: Final = 2.0
 SPEED_RATIOS: Final = (0.5, 2.0)
 """Metres moved over metres that the speed says, at the median; lane changes and teleports apart."""
@@ -70,7 +72,7 @@ def check_speeds(path: Path, head: Sequence[Moment]) -> None:
 def check_net(
     path: Path, map_path: Path, lanes: Sequence[Lane], head: Sequence[Moment]
 ) -> str | None:
-    """A notice where some vehicles are off the net. Raises InputError where most are."""
+    """A notice where some vehicles are off the net, or all a little. InputError where most are."""
     driving = [moment.scene.kind != Kind.PEDESTRIAN for moment in head]
     xy_m = np.concatenate(
         [moment.scene.xy_m[rows] for moment, rows in zip(head, driving, strict=True)]
@@ -85,16 +87,24 @@ def check_net(
             f"lane at the median, {worst_m:.0f} m at worst; check that it is the net of this "
             "recording, and that it was recorded without --fcd-output.utm"
         )
+    if median_m > ON_LANE_M:
+        return (
+            f"vehicles are {median_m:.1f} m from the nearest lane's centre line at the median, "
+            f"{worst_m:.1f} m at worst: is {map_path.name} the net of this recording?"
+        )
     if worst_m <= FAR_M:
         return None
     return (
         f"{np.mean(off_m > FAR_M):.1%} of the first {len(xy_m)} positions are more than "
-        f"{FAR_M:.0f} m from every lane, {worst_m:.0f} m at worst: is it the net of this recording?"
+        f"{FAR_M:.0f} m from every lane, {worst_m:.0f} m at worst: "
+        f"is {map_path.name} the net of this recording?"
     )
 
 
-def lacks(head: Sequence[Moment], types: Mapping[str, VehicleType]) -> list[str]:
-    """Notices on what the vehicles do not say; `types` are those of known size."""
+def lacks(
+    head: Sequence[Moment], types: Mapping[str, VehicleType], lanes: Sequence[Lane]
+) -> list[str]:
+    """Notices on what the recording does not say; `types` are those of known size."""
     rows = [row for moment in head for row, on_foot in moment.step.users if not on_foot]
     unsized = [row for row in rows if row.get("length") is None or row.get("width") is None]
     names = {str(row.get("type") or "") for row in unsized}
@@ -102,8 +112,8 @@ def lacks(head: Sequence[Moment], types: Mapping[str, VehicleType]) -> list[str]
     notices: list[str] = []
     if len(guesses) < len(names):
         notices.append(
-            f"sizes of {len(names) - len(guesses)} vehicle types are those of the .rou.xml and "
-            ".add.xml files beside the tracks and the net"
+            f"sizes of {len(names) - len(guesses)} vehicle types are SUMO's own and those of the "
+            ".rou.xml and .add.xml files beside the tracks and the net"
         )
     if guesses:
         more = f" and {len(guesses) - 3} more" if len(guesses) > 3 else ""
@@ -114,6 +124,6 @@ def lacks(head: Sequence[Moment], types: Mapping[str, VehicleType]) -> list[str]
         )
     if rows and all(row.get("signals") is None for row in rows):
         notices.append("there are no blinkers; record with --fcd-output.signals to have them")
-    if not any(moment.step.closed for moment in head):
+    if any(lane.signals for lane in lanes) and not any(moment.step.closed for moment in head):
         notices.append("there are no traffic lights in floating car data: all count as open")
     return notices

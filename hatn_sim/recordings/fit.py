@@ -13,12 +13,7 @@ _STEP_M = 2.0
 
 
 def distance_to_lanes_m(lanes: Sequence[Lane], xy_m: FloatArray) -> FloatArray:
-    """[N] metres from each position to the nearest centre line, exact to `_STEP_M` / 2.
-
-    inf where there are no lanes.
-    """
-    if not lanes:
-        return np.full(len(xy_m), np.inf)
+    """[N] metres from each position to the nearest centre line of some, exact to `_STEP_M` / 2."""
     points_m = np.concatenate([_dense(lane.xy_m) for lane in lanes])
     distance_m, _ = KDTree(points_m).query(xy_m)
     return np.asarray(distance_m, dtype=np.float64)

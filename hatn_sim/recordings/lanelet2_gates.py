@@ -50,11 +50,7 @@ def with_gates(
     ends: dict[str, Gate] = {}
     cuts: dict[str, list[tuple[float, Gate]]] = {}
     for rule in _rules(path, osm):
-        waiting = [
-            lane
-            for lane in lanes
-            if lane.kinds & MOTOR and _concerns(rule, lane, predecessors, lanelet_of)
-        ]
+        waiting = [lane for lane in lanes if _concerns(rule, lane, predecessors, lanelet_of)]
         found = _lines_met_m(rule, waiting)
         if not found and rule.lanelets is not None:
             named = [lane for lane in waiting if lanelet_of[lane.id] in rule.lanelets]
@@ -119,7 +115,7 @@ def _concerns(
 ) -> bool:
     """Whether a lane, or the one behind or before it, is among those that wait."""
     if rule.lanelets is None:
-        return True
+        return bool(lane.kinds & MOTOR)
     near = [lane.id, *lane.successors, *(before.id for before in predecessors[lane.id])]
     return any(lanelet_of[name] in rule.lanelets for name in near)
 

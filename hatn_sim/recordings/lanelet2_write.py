@@ -17,10 +17,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from hatn_sim.datatypes import FloatArray, Gate, IntArray, Kind, Lane
-from hatn_sim.errors import InputError
 from hatn_sim.geometry import arc_length_m
 from hatn_sim.recordings.bounds import offset_line, split, thinned
-from hatn_sim.recordings.lanelet2 import ID_TAG, SAME_PLACE_M, TURN_OF_DIRECTION
+from hatn_sim.recordings.lanelet2 import ID_TAG, TURN_OF_DIRECTION
 from hatn_sim.recordings.lanelet2_rules import (
     KINDS_OF_SUBTYPE,
     KMH,
@@ -30,9 +29,10 @@ from hatn_sim.recordings.osm import to_metres
 
 STOP_LINE_BACK_M: Final = 0.3
 """Stop lines stand this far before the end of their lane."""
+SHORTEST_M: Final = 0.5
 RULE_OF_GATE: Final[Mapping[Gate, tuple[str, str, str]]] = {
-    Gate.STOP_LINE: ("right_of_way", "traffic_sign", "de206"),
-    Gate.GIVE_WAY_LINE: ("right_of_way", "traffic_sign", "de205"),
+    Gate.STOP_LINE: ("traffic_sign", "traffic_sign", "de206"),
+    Gate.GIVE_WAY_LINE: ("traffic_sign", "traffic_sign", "de205"),
     Gate.SIGNAL: ("traffic_light", "traffic_light", "red_yellow_green"),
 }
 """Subtype of the rule; type and subtype of what it refers to."""
@@ -42,13 +42,13 @@ DIRECTION_OF_TURN: Final = {turn: name for name, turn in TURN_OF_DIRECTION.items
 def write_lanelet2(path: Path, lanes: Sequence[Lane]) -> None:
     """Write a map that `read_lanelet2` reads back: names, successors, gates, kinds, limits, turns.
 
-    Positions come back to within 0.1 mm. Raises InputError for a lane without length.
+    Positions come back to within 0.1 mm. Lanes shorter than `SHORTEST_M` are left out; what they
+    join follows each other directly.
     """
-    for lane in lanes:
-        if arc_length_m(lane.xy_m)[-1] < SAME_PLACE_M:
-            raise InputError(f"{path}: lane {lane.id!r} has no length and cannot be written")
+    is_long = np.array([arc_length_m(lane.xy_m)[-1] >= SHORTEST_M for lane in lanes], dtype=bool)
+    joints = _joints(lanes, np.flatnonzero(~is_long))[is_long]
+    lanes = [lane for lane, kept in zip(lanes, is_long, strict=True) if kept]
     sides = [(_side(lane, 0.5), _side(lane, -0.5)) for lane in lanes]
-    joints = _joints(lanes)
     corners_m = np.array([[[xy_m[end] for xy_m in pair] for end in (0, -1)] for pair in sides])
     drawing = _Drawing()
     nodes = _corner_nodes(drawing, joints, corners_m)
@@ -60,11 +60,10 @@ def write_lanelet2(path: Path, lanes: Sequence[Lane]) -> None:
         )
         centre = drawing.way(drawing.nodes(lane.xy_m), {"type": "virtual"})
         members = [("way", left_way, "left"), ("way", right_way, "right")]
-        lanelet = drawing.number()
-        if lane.gate is not Gate.NONE:
-            members.append(("relation", _rule(drawing, lane, lanelet), "regulatory_element"))
         members.append(("way", centre, "centerline"))
-        drawing.relation(lanelet, members, _tags(lane))
+        if lane.gate is not Gate.NONE:
+            members.append(("relation", _rule(drawing, lane), "regulatory_element"))
+        drawing.relation(members, _tags(lane))
     path.write_text(drawing.text(), encoding="utf-8")
 
 
@@ -72,8 +71,11 @@ def _side(lane: Lane, widths: float) -> FloatArray:
     return offset_line(thinned(lane.xy_m), widths * lane.width_m)
 
 
-def _joints(lanes: Sequence[Lane]) -> IntArray:
-    """The joint [L, 2] at which every lane starts and ends: one for all that meet there."""
+def _joints(lanes: Sequence[Lane], points: IntArray) -> IntArray:
+    """The joint [L, 2] at which every lane starts and ends: one for all that meet there.
+
+    The lanes with the rows `points` start and end at the same.
+    """
     row_of = {lane.id: row for row, lane in enumerate(lanes)}
     pairs = [
         (2 * row + 1, 2 * row_of[name])
@@ -81,6 +83,7 @@ def _joints(lanes: Sequence[Lane]) -> IntArray:
         for name in lane.successors
         if name in row_of
     ]
+    pairs += [(2 * row, 2 * row + 1) for row in points.tolist()]
     one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     size = 2 * len(lanes)
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(size, size))
@@ -92,15 +95,16 @@ def _corner_nodes(
     drawing: _Drawing, joints: IntArray, corners_m: FloatArray
 ) -> list[tuple[int, int]]:
     """The left and the right node of every joint: the means of its lanes' corners [L, 2, 2, 2]."""
-    count = np.bincount(joints.ravel())
-    mean = np.zeros((len(count), 2, 2))
+    mean = np.zeros((joints.max(initial=-1) + 1, 2, 2))
+    count = np.zeros(len(mean))
     np.add.at(mean, joints.ravel(), corners_m.reshape(-1, 2, 2))
-    mean /= count[:, None, None]
+    np.add.at(count, joints.ravel(), 1.0)
+    mean /= np.maximum(count, 1.0)[:, None, None]
     left, right = drawing.nodes(mean[:, 0]), drawing.nodes(mean[:, 1])
     return list(zip(left, right, strict=True))
 
 
-def _rule(drawing: _Drawing, lane: Lane, lanelet: int) -> int:
+def _rule(drawing: _Drawing, lane: Lane) -> int:
     """The regulatory element of a lane's gate, with its stop line and sign."""
     subtype, sign_type, sign = RULE_OF_GATE[lane.gate]
     length_m = float(arc_length_m(lane.xy_m)[-1])
@@ -111,11 +115,7 @@ def _rule(drawing: _Drawing, lane: Lane, lanelet: int) -> int:
     beside = across[1] + (across[1] - across[0]) * np.array([[0.1], [0.3]])
     sign_way = drawing.way(drawing.nodes(beside), {"type": sign_type, "subtype": sign})
     members = [("way", sign_way, "refers"), ("way", line, "ref_line")]
-    if subtype == "right_of_way":
-        members.append(("relation", lanelet, "yield"))
-    rule = drawing.number()
-    drawing.relation(rule, members, {"type": "regulatory_element", "subtype": subtype})
-    return rule
+    return drawing.relation(members, {"type": "regulatory_element", "subtype": subtype})
 
 
 def _tags(lane: Lane) -> dict[str, str]:
@@ -159,11 +159,11 @@ class _Drawing:
         self._ways.append(_element("way", number, [*inside, *_tag_lines(tags)]))
         return number
 
-    def relation(
-        self, number: int, members: Sequence[tuple[str, int, str]], tags: Mapping[str, str]
-    ) -> None:
+    def relation(self, members: Sequence[tuple[str, int, str]], tags: Mapping[str, str]) -> int:
+        number = self.number()
         inside = [f'    <member type="{t}" ref="{ref}" role="{role}"/>' for t, ref, role in members]
         self._relations.append(_element("relation", number, [*inside, *_tag_lines(tags)]))
+        return number
 
     def text(self) -> str:
         """The map as a file."""

@@ -15,8 +15,15 @@ _ROAD = (".json.gz",)
 def read_lanes(path: Path) -> list[Lane]:
     """The lanes of a map, told by its name: .osm, .net.xml, .net.xml.gz or road.json.gz.
 
-    Raises InputError for any other file, and where the map is at fault.
+    Raises InputError for any other file, and where the map is at fault or has no lanes.
     """
+    lanes = _read(path)
+    if not lanes:
+        raise InputError(f"{path}: expected lanes for vehicles, found none; give another --map")
+    return lanes
+
+
+def _read(path: Path) -> list[Lane]:
     name = path.name.lower()
     if name.endswith(_LANELET2):
         from hatn_sim.recordings.lanelet2 import read_lanelet2

@@ -38,8 +38,12 @@ class RunRecording:
         seconds = DT_S * self._run.frame_count
         return (f"{self._run.path} is of an unfinished run: its first {seconds:.1f} s are played",)
 
-    @cached_property
+    @property
     def lanes(self) -> list[Lane]:
+        return self._lanes
+
+    @cached_property
+    def _lanes(self) -> list[Lane]:
         return read_road(self._run.path / ROAD_FILE)
 
     def frames(self) -> Iterator[Frame]:

@@ -45,6 +45,15 @@ _SIZE_OF_CLASS_M: Final[Mapping[str, tuple[float, float]]] = {
 }
 """Length and width of a type that gives none: SUMO 1.28; classes that are not here, a car's."""
 _CAR_SIZE_M: Final = (5.0, 1.8)
+_CLASS_OF_DEFAULT: Final[Mapping[str, str]] = {
+    "DEFAULT_VEHTYPE": "passenger",
+    "DEFAULT_PEDTYPE": "pedestrian",
+    "DEFAULT_BIKETYPE": "bicycle",
+    "DEFAULT_TAXITYPE": "taxi",
+    "DEFAULT_RAILTYPE": "rail",
+    "DEFAULT_CONTAINERTYPE": "container",
+}
+"""The types that SUMO brings."""
 _CLASS_OF_NAME: Final = (
     ("motorcycle", "moto"),
     ("moped", "moped"),
@@ -59,7 +68,7 @@ _CLASS_OF_NAME: Final = (
     ("delivery", "delivery|van"),
     ("emergency", "emergency|ambulance"),
 )
-"""Class -> what in a type's name speaks for it, the first that fits; SUMO's DEFAULT_... too."""
+"""Class -> what in a type's name speaks for it; the first that fits counts."""
 _MAX_ELEMENTS: Final = 100_000
 """Types stand before the vehicles that use them: a city's trips need not be read to their end."""
 _COLOURS: Final[Mapping[str, Colour]] = {
@@ -125,7 +134,8 @@ def read_colour(text: str | None) -> Colour:
 
 
 def read_types(folders: Iterable[Path]) -> dict[str, VehicleType]:
-    """Types by name from the .rou.xml and .add.xml files (also gzipped) of some folders.
+    """Types by name from the .rou.xml and .add.xml files (also gzipped) of some folders, and those
+    that SUMO brings.
 
     Where two files define a type, the first counts, by folder and name. Files that cannot be
     read have none.
@@ -137,6 +147,8 @@ def read_types(folders: Iterable[Path]) -> dict[str, VehicleType]:
             name = element.get("id")
             if name is not None:
                 types.setdefault(name, _type_of(element))
+    for name, vehicle_class in _CLASS_OF_DEFAULT.items():
+        types.setdefault(name, of_class(vehicle_class))
     return types
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,16 @@ from hatn_sim.datatypes import DT_S, Command, Frame, Lane, Route, Scene, Truth
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
 from hatn_sim.simulators.sumo_lanes import lanes_of
-from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
+from hatn_sim.simulators.sumo_messages import (
+    AskFoes,
+    AskLaneFoes,
+    Failed,
+    JunctionFoes,
+    LaneFoes,
+    RawFrame,
+    Refused,
+    Started,
+)
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
 
 if TYPE_CHECKING:
@@ -109,14 +119,28 @@ class SumoSimulator:
 
         Raises SimulatorError where SUMO fails or dies; the simulator is closed then.
         """
-        if self._worker is None:
-            raise SimulatorError("SUMO is not running: call reset(seed) first")
-        answer = self._ask([(command.ego_id, command.acceleration_mps2) for command in commands])
-        if isinstance(answer, Failed):
-            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
-            raise self._stopped(reason)
+        wanted = [(command.ego_id, command.acceleration_mps2) for command in commands]
+        answer = self._inquire(wanted)
         assert isinstance(answer, RawFrame)
         return self._frame(answer)
+
+    def junction_foes(self, reach_m: float) -> JunctionFoes:
+        """SUMO's list of conflicts within `reach_m` ahead of every vehicle of the newest frame.
+
+        An oracle for tests of ours, seen by no predictor. Raises as `step` does.
+        """
+        answer = self._inquire(AskFoes(reach_m))
+        assert isinstance(answer, JunctionFoes)
+        return answer
+
+    def lane_foes(self) -> LaneFoes:
+        """What SUMO's junctions hold against each other, whoever is there.
+
+        Raises as `step` does.
+        """
+        answer = self._inquire(AskLaneFoes())
+        assert isinstance(answer, LaneFoes)
+        return answer
 
     def close(self) -> None:
         """Ends SUMO and its process."""
@@ -129,6 +153,16 @@ class SumoSimulator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _inquire(self, message: object) -> object:
+        """The answer to a question after the start."""
+        if self._worker is None:
+            raise SimulatorError("SUMO is not running: call reset(seed) first")
+        answer = self._ask(message)
+        if isinstance(answer, Failed):
+            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
+            raise self._stopped(reason)
+        return answer
 
     def _ask(self, message: object) -> object:
         assert self._worker is not None
@@ -160,7 +194,8 @@ class SumoSimulator:
 
     def _frame(self, raw: RawFrame) -> Frame:
         self._time_s, self.sumo_s = raw.time_s, raw.sumo_s
-        self._routes.extend(raw.new_routes)
+        # Every route comes with strings of its own: in a city they would fill the memory.
+        self._routes.extend(tuple(map(sys.intern, route)) for route in raw.new_routes)
         rows = raw.rows
         numbers = rows[:, 7:11].astype(np.int64)
         scene = Scene(

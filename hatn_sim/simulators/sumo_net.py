@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError
+from hatn_sim.safe_xml import check_xml
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import Refused, Started
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError
@@ -14,10 +15,11 @@ from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError
 def read_net(path: Path) -> list[Lane]:
     """The lanes of a net (.net.xml, also gzipped), those for pedestrians only excepted.
 
-    They are those of a `SumoSimulator` on this net. Raises InputError where SUMO refuses it.
+    They are those of a `SumoSimulator` on this net. Raises InputError where it is no net, or SUMO
+    refuses it. SUMO dies of XML that is cut off, and expands whatever it is given: hence the check
+    before.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such net; correct the path")
+    check_xml(path, "net")
     worker = SumoWorker()
     try:
         answer = worker.ask(("--net-file", str(path), "--no-step-log", "true"))

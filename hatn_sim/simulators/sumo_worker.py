@@ -4,6 +4,7 @@ It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_pro
 over its standard input and output. The first message it reads are SUMO's options; it answers with
 `Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
 commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
+`AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
 """
 
@@ -21,6 +22,7 @@ import libsumo
 import numpy as np
 
 from hatn_sim.datatypes import Kind
+from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lanes import (
     CLOSED_SIGNALS,
     KIND_OF_CLASS,
@@ -28,7 +30,16 @@ from hatn_sim.simulators.sumo_lanes import (
     Link,
     kinds_of,
 )
-from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
+from hatn_sim.simulators.sumo_messages import (
+    AskFoes,
+    AskLaneFoes,
+    Failed,
+    JunctionFoes,
+    LaneFoes,
+    RawFrame,
+    Refused,
+    Started,
+)
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
 
 OBEY_SPEED_MODE = 32
@@ -111,6 +122,7 @@ class Simulation:
         self._commanded: set[str] = set()
         self._speeds_mps: dict[str, float] = {}
         self._sumo_s = 0.0
+        self._foes = FoeReader(libsumo, self.lane_table)
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -136,10 +148,16 @@ class Simulation:
             libsumo.vehicle.setSpeed(vehicle, max(speed_mps, 0.0))
         self._commanded = set(accelerations)
 
-    def answer(self, message: Sequence[tuple[str, float]]) -> RawFrame:
-        """The frame after a step with these commands."""
-        self.step(message)
-        return self.observe()
+    def answer(self, message: object) -> RawFrame | JunctionFoes | LaneFoes:
+        """Who conflicts with whom, if that is asked; else the frame after a step of commands."""
+        match message:
+            case AskFoes(reach_m):
+                return self.junction_foes(reach_m)
+            case AskLaneFoes():
+                return self.lane_foes()
+            case _:
+                self.step(message)  # type: ignore[arg-type]  # a list of commands
+                return self.observe()
 
     def observe(self, names: Sequence[str] | None = None) -> RawFrame:
         """What is on the road now: everybody, or the vehicles named."""
@@ -177,6 +195,16 @@ class Simulation:
             done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
             sumo_s=self._sumo_s,
         )
+
+    def junction_foes(self, reach_m: float) -> JunctionFoes:
+        """SUMO's list of conflicts within `reach_m` ahead of the vehicles of the newest frame."""
+        vehicle = libsumo.vehicle
+        seen = [name for name in vehicle.getIDList() if vehicle.getPosition(name)[0] >= INVALID_M]
+        return self._foes.junction_foes(seen, reach_m)
+
+    def lane_foes(self) -> LaneFoes:
+        """What SUMO's junctions hold against each other."""
+        return self._foes.lane_foes()
 
     def _emergency_braking(
         self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
