@@ -4,8 +4,9 @@ Candidates are the lane paths near a vehicle, drawn out through every connection
 open-end dynamic time warping of the motion so far against it. A line is a curve without a fork
 that is driven forwards, so the warping path is the projection carried forward from frame to frame,
 and the warping cost is a mean of the costs at the feet, kept up to date with one projection per
-candidate and frame. Frames weigh by the distance driven in them, the last metres most: a vehicle
-that waits gives no evidence of where it will turn.
+candidate and frame. It is the front that is projected: it shows first where a vehicle turns. Frames
+weigh by the distance driven in them, the last metre most: a vehicle that waits gives no evidence of
+where it will turn.
 
 Scores are negative log likelihoods: of the motion, measured by how well the vehicle keeps to its
 best line; of the blinker; and of the connection, from the habits of the traffic seen so far. Lines
@@ -40,21 +41,21 @@ WARP_FRAMES: Final = 31
 """New candidates are held against the last three seconds, now included."""
 HEADING_COST_M: Final = 2.0
 """Cost of a heading error: lateral offset + 2 m (1 - cos error)."""
-RECENT_M: Final = 2.0
+RECENT_M: Final = 1.0
 """Evidence fades by 1/e over this distance driven."""
 FIRST_M: Final = 0.01
 """Weight of the first frame of a vehicle: all there is of one that never moved."""
-SHARP_M: Final = 0.04
+SHARP_M: Final = 0.02
 BLUNT_M: Final = 0.3
 """An extra cost of this much makes a line e times less likely: as much as the vehicle's best line
 costs, between these bounds."""
-SWITCH_NATS: Final = 0.7
+SWITCH_NATS: Final = 0.4
 """Another line must be better by this much ..."""
 SWITCH_FRAMES: Final = 3
 """... for this many frames ..."""
-SURE_NATS: Final = 3.0
+SURE_NATS: Final = 1.5
 """... or by this much at once."""
-IDLE_BLINKER_NATS: Final = 3.0
+IDLE_BLINKER_NATS: Final = 4.0
 """To signal and drive straight on (a change of lanes, a forgotten blinker) ..."""
 WRONG_BLINKER_NATS: Final = 5.0
 """... or to turn the other way."""
@@ -75,7 +76,7 @@ class LineState:
 
     ids: tuple[str, ...]  # [N]
     line: IntArray  # [N, A]
-    s_m: FloatArray  # [N, A]
+    s_m: FloatArray  # [N, A] of the front
     cost_m: FloatArray  # [N, A] warping cost: the mean over the recent way
     now_m: FloatArray  # [N, A] cost at the newest foot
     weight_m: FloatArray  # [N] of the frames in `cost_m`
@@ -120,7 +121,7 @@ def follow_lines(
     """One frame on: the line of every vehicle. With `routes`, that of its route, not inferred."""
     moved = _advance(state, road, tracks, scene)
     if routes is not None:
-        moved = _take_routes(moved, road, tracks, routes)
+        moved = _take_routes(moved, road, scene, routes)
         probability = np.where(moved.line[:, 0] >= 0, 1.0, 0.0)
         return moved, _lines(moved, road, scene, probability)
     habits = state.habits or fresh_habits(road)
@@ -150,10 +151,10 @@ def _advance(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> Line
         return replace(moved, weight_m=weight_m)
     s_m, cost_m, now_m = moved.s_m.copy(), moved.cost_m.copy(), moved.now_m.copy()
     at = moved.line[vehicle, slot]
-    xy, yaw = tracks.xy_m[vehicle, -1], tracks.yaw_rad[vehicle, -1]
-    s, d = road.track(at, xy, s_m[vehicle, slot] + step_m[vehicle])
+    front_xy = _front_xy_m(scene.xy_m, scene.yaw_rad, scene.size_m[:, 0])
+    s, d = road.track(at, front_xy[vehicle], s_m[vehicle, slot] + step_m[vehicle])
     s = np.maximum(s, s_m[vehicle, slot] - 0.5)  # time warping never runs backwards
-    now, turned = _foot_cost_m(road, at, xy, yaw, scene.size_m[vehicle, 0], s, d)
+    now, turned = _foot_cost_m(road, at, scene.yaw_rad[vehicle], scene.size_m[vehicle, 0], s, d)
     s_m[vehicle, slot], now_m[vehicle, slot] = s, now
     total = cost_m[vehicle, slot] * faded_m[vehicle] + now * step_m[vehicle]
     cost_m[vehicle, slot] = total / np.maximum(weight_m[vehicle], 1e-9)
@@ -176,30 +177,27 @@ _PER_VEHICLE: Final = (
 )
 
 
+def _front_xy_m(xy_m: FloatArray, yaw_rad: FloatArray, length_m: FloatArray) -> FloatArray:
+    """Middle of the front [N, 2] of boxes [N]."""
+    heading = np.stack((np.cos(yaw_rad), np.sin(yaw_rad)), axis=1)
+    return xy_m + 0.5 * length_m[:, None] * heading
+
+
 def _foot_cost_m(
     road: Road,
     line: IntArray,
-    xy_m: FloatArray,
     yaw_rad: FloatArray,
     length_m: FloatArray,
     s_m: FloatArray,
     d_m: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Cost [Q] of poses whose feet are at s, d, and their heading [Q] relative to the line.
-
-    The cost is the mean offset of centre and front, and that of the heading. The front of a vehicle
-    shows first where it turns.
-    """
-    heading = np.stack((np.cos(yaw_rad), np.sin(yaw_rad)), axis=1)
-    front_xy = xy_m + 0.5 * length_m[:, None] * heading
-    _, front_d = road.track(line, front_xy, s_m + 0.5 * length_m)
-    turned = wrap_angle(yaw_rad - road.line_yaw_rad(line, s_m))
-    offset = 0.5 * (np.abs(d_m) + np.abs(front_d))
-    return offset + HEADING_COST_M * (1.0 - np.cos(turned)), turned
+    """Cost [Q] of poses whose fronts have their feet at s, d; and their heading to the line [Q]."""
+    turned = wrap_angle(yaw_rad - road.line_yaw_rad(line, s_m - 0.5 * length_m))
+    return np.abs(d_m) + HEADING_COST_M * (1.0 - np.cos(turned)), turned
 
 
 def _take_routes(
-    state: LineState, road: Road, tracks: Tracks, routes: tuple[Route | None, ...]
+    state: LineState, road: Road, scene: Scene, routes: tuple[Route | None, ...]
 ) -> LineState:
     """Route mode: the only candidate is the line of the simulator's route."""
     line = np.full_like(state.line, -1)
@@ -208,9 +206,8 @@ def _take_routes(
     new = np.flatnonzero((line[:, 0] >= 0) & (line[:, 0] != state.line[:, 0]))
     if len(new):
         length_m = float(road.count[line[new, 0]].max()) * LINE_STEP_M
-        s_m[new, 0], _ = road.search(
-            line[new, 0], tracks.xy_m[new, -1], np.zeros(len(new)), length_m
-        )
+        s_m[new, 0], _ = road.search(line[new, 0], scene.xy_m[new], np.zeros(len(new)), length_m)
+        s_m[new, 0] += 0.5 * scene.size_m[new, 0]
     chosen = np.where(line[:, 0] >= 0, 0, -1)
     return replace(state, line=line, s_m=s_m, chosen=chosen)
 
@@ -242,7 +239,7 @@ def _renew(
             near = road.lanes_near(scene.xy_m[i], float(scene.yaw_rad[i]), kind)
             prefixes = [road.prefix_to(name, kind) for name in near]
         else:
-            s_now = float(state.s_m[i, best[i]])
+            s_now = float(state.s_m[i, best[i]]) - 0.5 * float(scene.size_m[i, 0])
             lane = road.lane_number(int(own[i]), s_now)
             if road.lines[own[i]].closed_end or lane == state.renewed[i]:
                 continue  # there is no more of the road, or no more than was drawn on this lane
@@ -301,8 +298,9 @@ def _warp(
     Returns the candidates [C], s [C], the mean cost [C], the cost now [C] and the weight of the
     mean.
     """
-    xy = tracks.xy_m[vehicle, -WARP_FRAMES:]
     yaw = tracks.yaw_rad[vehicle, -WARP_FRAMES:]
+    lengths_m = np.full(WARP_FRAMES, length_m)
+    xy = _front_xy_m(tracks.xy_m[vehicle, -WARP_FRAMES:], yaw, lengths_m)
     valid = tracks.valid[vehicle, -WARP_FRAMES:]
     many = len(candidates)
     reach_m = float(road.count[candidates].max()) * LINE_STEP_M
@@ -314,7 +312,7 @@ def _warp(
     line = np.repeat(candidates, WARP_FRAMES)
     all_xy, all_yaw = np.tile(xy, (len(candidates), 1)), np.tile(yaw, len(candidates))
     s, d = road.project(line, all_xy, (s_now[:, None] - behind_m).ravel(), 4.0)
-    cost, _ = _foot_cost_m(road, line, all_xy, all_yaw, np.full(len(line), length_m), s, d)
+    cost, _ = _foot_cost_m(road, line, all_yaw, np.tile(lengths_m, len(candidates)), s, d)
     cost = cost.reshape(-1, WARP_FRAMES)
     weight = np.concatenate(([0.0], step_m))
     weight[np.argmax(valid)] = FIRST_M
@@ -336,7 +334,7 @@ def _score(
     if not len(vehicle):
         return score, connection
     line = state.line[vehicle, slot]
-    front_m = state.s_m[vehicle, slot] + 0.5 * scene.size_m[vehicle, 0]
+    front_m = state.s_m[vehicle, slot]
     first = (road.fork_end_s_m[line] <= front_m[:, None]).sum(axis=1)
     first = np.minimum(first, road.fork_s_m.shape[1] - 1)
     away_m = road.fork_s_m[line, first] - front_m
@@ -395,7 +393,7 @@ def _learn(state: LineState, road: Road, scene: Scene, habits: Habits) -> LineSt
     inside = np.full(len(rows), -1, dtype=np.int64)
     if not len(on):
         return replace(state, inside=inside, habits=habits)
-    front_m = (state.s_m[rows, own] + 0.5 * scene.size_m[:, 0])[on, None]
+    front_m = state.s_m[rows, own][on, None]
     past = road.fork_end_s_m[line] <= front_m
     under = ~past & (road.fork_s_m[line] <= front_m)
     fork, is_in = under.argmax(axis=1), under.any(axis=1)
@@ -414,7 +412,8 @@ def _lines(state: LineState, road: Road, scene: Scene, probability: FloatArray) 
     own = np.maximum(state.chosen, 0)
     line = np.where(state.chosen >= 0, state.line[rows, own], -1)
     on: BoolArray = line >= 0
-    s, d, phi = state.s_m[rows, own], np.zeros(len(rows)), np.zeros(len(rows))
+    s = state.s_m[rows, own] - 0.5 * scene.size_m[:, 0]
+    d, phi = np.zeros(len(rows)), np.zeros(len(rows))
     if on.any():
         s_on, d_on = road.track(line[on], scene.xy_m[on], s[on])
         s[on], d[on] = s_on, d_on
