@@ -41,14 +41,15 @@ WARP_FRAMES: Final = 31
 """New candidates are held against the last three seconds, now included."""
 HEADING_COST_M: Final = 2.0
 """Cost of a heading error: lateral offset + 2 m (1 - cos error)."""
-RECENT_M: Final = 1.0
+RECENT_M: Final = 0.5
 """Evidence fades by 1/e over this distance driven."""
 FIRST_M: Final = 0.01
 """Weight of the first frame of a vehicle: all there is of one that never moved."""
-SHARP_M: Final = 0.02
+SHARP_M: Final = 0.005
 BLUNT_M: Final = 0.3
-"""An extra cost of this much makes a line e times less likely: as much as the vehicle's best line
-costs, between these bounds."""
+STEADY_M: Final = 10.0
+"""An extra cost makes a line e times less likely if it is as large as what the vehicle's best lines
+have cost over the last metres (fading by 1/e over the latter distance), between these bounds."""
 SWITCH_NATS: Final = 0.4
 """Another line must be better by this much ..."""
 SWITCH_FRAMES: Final = 3
@@ -80,6 +81,7 @@ class LineState:
     cost_m: FloatArray  # [N, A] warping cost: the mean over the recent way
     now_m: FloatArray  # [N, A] cost at the newest foot
     weight_m: FloatArray  # [N] of the frames in `cost_m`
+    spread_m: FloatArray  # [N] what the best line costs: how far the vehicle keeps from lines
     chosen: IntArray  # [N] candidate, -1: none
     doubted: IntArray  # [N] frames for which another candidate has been better
     renewed: IntArray  # [N] number of the lane on which the candidates were last drawn, -1: none
@@ -102,6 +104,7 @@ def _blank(ids: tuple[str, ...], habits: Habits | None) -> LineState:
         cost_m=np.zeros(shape),
         now_m=np.zeros(shape),
         weight_m=np.zeros(count),
+        spread_m=np.full(count, np.nan),
         chosen=np.full(count, -1, dtype=np.int64),
         doubted=np.zeros(count, dtype=np.int64),
         renewed=np.full(count, -1, dtype=np.int64),
@@ -125,7 +128,7 @@ def follow_lines(
         probability = np.where(moved.line[:, 0] >= 0, 1.0, 0.0)
         return moved, _lines(moved, road, scene, probability)
     habits = state.habits or fresh_habits(road)
-    moved = _renew(moved, road, tracks, scene, habits)
+    moved = _spread(_renew(moved, road, tracks, scene, habits), tracks)
     score, connection = _score(moved, road, scene, habits)
     moved = _choose(moved, score)
     moved = _learn(moved, road, scene, habits)
@@ -169,6 +172,7 @@ _PER_VEHICLE: Final = (
     "cost_m",
     "now_m",
     "weight_m",
+    "spread_m",
     "chosen",
     "doubted",
     "renewed",
@@ -265,6 +269,17 @@ def _renew(
     return replace(state, **fields)
 
 
+def _spread(state: LineState, tracks: Tracks) -> LineState:
+    """How far vehicles keep from their best lines, with the newest frame."""
+    now_m = np.where(state.line >= 0, state.now_m, np.inf).min(axis=1, initial=BLUNT_M)
+    step_m = np.linalg.norm(tracks.xy_m[:, -1] - tracks.xy_m[:, -2], axis=1)
+    kept = np.exp(-step_m / STEADY_M)
+    spread_m = np.where(
+        np.isnan(state.spread_m), now_m, kept * state.spread_m + (1.0 - kept) * now_m
+    )
+    return replace(state, spread_m=spread_m)
+
+
 def _before_junction(road: Road, route: Route) -> Route:
     """A route cut back to before the junction that it ends in, so that every way is still open."""
     end = len(route)
@@ -341,9 +356,7 @@ def _score(
     ahead = np.isfinite(away_m)
     turn, lane = road.fork_turn[line, first], road.fork_lane[line, first]
 
-    cost = np.where(state.line >= 0, state.cost_m, np.inf)
-    scale_m = np.clip(cost.min(axis=1), SHARP_M, BLUNT_M)
-    nats = state.cost_m[vehicle, slot] / scale_m[vehicle]
+    nats = state.cost_m[vehicle, slot] / np.maximum(state.spread_m, SHARP_M)[vehicle]
     blinker = scene.blinker[vehicle]
     against = np.where(turn == 0, IDLE_BLINKER_NATS, WRONG_BLINKER_NATS)
     nats += np.where((blinker != 0) & (turn != blinker) & (away_m < BLINKER_REACH_M), against, 0.0)
