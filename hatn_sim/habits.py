@@ -49,6 +49,7 @@ def fresh_habits(road: Road) -> Habits:
                     source[number[name]] = row
                     taken[number[name]] = RARE if _turns_around(road, lane.id, name) else 1.0
         np.add.at(entered, source, taken)
+        entered = np.maximum(entered, RARE)  # of a lane without connections nobody will ask
         road.shared["habits"] = Habits(taken, entered, source, SIGNALLED, TURNED)
     habits: Habits = road.shared["habits"]
     return habits
@@ -82,10 +83,8 @@ def silent_nats(habits: Habits) -> float:
 def learn(habits: Habits, left: IntArray, turns: IntArray, blinker: IntArray) -> Habits:
     """The habits after a frame.
 
-    Args:
-        left: [K] connections that vehicles have come to the end of.
-        turns: [R] of the vehicles on a connection that turns.
-        blinker: [R] theirs.
+    `left` [K] are the connections that vehicles have come to the end of; `turns` [R] the turns of
+    the connections that vehicles are on, where they are turns, and `blinker` [R] their blinkers.
     """
     signals: BoolArray = turns == blinker
     learned = replace(

@@ -60,9 +60,11 @@ IDLE_BLINKER_NATS: Final = 4.0
 """To signal and drive straight on (a change of lanes, a forgotten blinker) ..."""
 WRONG_BLINKER_NATS: Final = 5.0
 """... or to turn the other way."""
-BLINKER_REACH_M: Final = 60.0
-SILENT_REACH_M: Final = 20.0
-"""Drivers who signal do so from the latter distance on, and more and more from the former."""
+BLINKER_REACH_M: Final = (60.0, 100.0)
+"""A blinker tells all of a connection nearer than this, and nothing of one further away than that.
+"""
+SILENT_REACH_M: Final = (20.0, 60.0)
+"""The same of one that is not set."""
 OFF_M: Final = 1.7
 """Half a lane off: another lane may be the nearer one by now (a change of lanes)."""
 REST_FRAMES: Final = 5
@@ -216,9 +218,7 @@ def _take_routes(
     return replace(state, line=line, s_m=s_m, chosen=chosen)
 
 
-def _renew(
-    state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Habits
-) -> LineState:
+def _renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Habits) -> LineState:
     """Draw candidates for newcomers, for vehicles off their lines and for lines that run out."""
     vehicle = np.arange(len(state.ids))
     best = np.maximum(state.chosen, 0)
@@ -359,14 +359,20 @@ def _score(
     nats = state.cost_m[vehicle, slot] / np.maximum(state.spread_m, SHARP_M)[vehicle]
     blinker = scene.blinker[vehicle]
     against = np.where(turn == 0, IDLE_BLINKER_NATS, WRONG_BLINKER_NATS)
-    nats += np.where((blinker != 0) & (turn != blinker) & (away_m < BLINKER_REACH_M), against, 0.0)
-    near = (BLINKER_REACH_M - away_m) / (BLINKER_REACH_M - SILENT_REACH_M)
-    silent = (blinker == 0) & (turn != 0)
-    nats += np.where(silent, silent_nats(habits) * np.clip(near, 0.0, 1.0), 0.0)
+    against = np.where((blinker != 0) & (turn != blinker), against, 0.0)
+    silent = np.where((blinker == 0) & (turn != 0), silent_nats(habits), 0.0)
+    nats += against * _nearness(away_m, BLINKER_REACH_M) + silent * _nearness(
+        away_m, SILENT_REACH_M
+    )
     nats += np.where(ahead, share_nats(habits, lane), 0.0)
     score[vehicle, slot] = nats
     connection[vehicle, slot] = np.where(ahead, lane, -2 - line)
     return score, connection
+
+
+def _nearness(away_m: FloatArray, reach_m: tuple[float, float]) -> FloatArray:
+    """1 up to the first distance, falling to 0 at the second."""
+    return np.clip((reach_m[1] - away_m) / (reach_m[1] - reach_m[0]), 0.0, 1.0)
 
 
 def _choose(state: LineState, score: FloatArray) -> LineState:
@@ -414,9 +420,7 @@ def _learn(state: LineState, road: Road, scene: Scene, habits: Habits) -> LineSt
     inside[on] = np.where(is_in, lane[np.arange(len(on)), fork], -1)
     left: BoolArray = ((lane == state.inside[on, None]) & past).any(axis=1)
     turn = np.where(is_in, road.fork_turn[line, fork], 0)
-    habits = learn(
-        habits, state.inside[on][left], turn[turn != 0], scene.blinker[on][turn != 0]
-    )
+    habits = learn(habits, state.inside[on][left], turn[turn != 0], scene.blinker[on][turn != 0])
     return replace(state, inside=inside, habits=habits)
 
 

@@ -8,7 +8,9 @@ under it. Vehicles without a line are samples too: a missing line is never a rig
 | `line_right_inside` | share | inside a junction: right connection and right lane behind it |
 | `line_right_20m` | share | on the last 20 m before it: right exit |
 | `line_right_20m_blinker` | share | the same, while a blinker is on |
-| `line_right_inside_choice`, `line_right_20m_choice` | share | where the approach has several exits |
+| `line_told_20m_blinker` | share | what approach and blinker tell of these: see `told_share` |
+| `line_right_inside_choice` | share | those inside whose approach has several exits |
+| `line_right_20m_choice` | share | the same of the last 20 m |
 | `line_right_when_given` | share | of the samples with a line, those that are right |
 | `line_mean_probability` | share | what the probabilities of these lines claim |
 | `line_fallback_share` | share | of samples: no line was found |
@@ -17,17 +19,29 @@ under it. Vehicles without a line are samples too: a missing line is never a rig
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from itertools import pairwise
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Kind, Lines, Route, Scene, Score
+from hatn_sim.datatypes import (
+    BoolArray,
+    FloatArray,
+    Frame,
+    IntArray,
+    Kind,
+    Lines,
+    Route,
+    Scene,
+    Score,
+)
+from hatn_sim.lines import empty_lines, follow_lines
 from hatn_sim.road import Road
 from hatn_sim.score import intervals
+from hatn_sim.tracks import empty_tracks, extend
 
 REACH_M: Final = 80.0
 """Further from the next junction a vehicle is no sample."""
@@ -58,9 +72,10 @@ class LineSamples:
     """Vehicles at moments, column by column, [Q] each."""
 
     vehicle: NDArray[np.str_]
-    time_s: FloatArray
+    approach: NDArray[np.str_]  # edge before the junction
+    exit: NDArray[np.str_]  # edge behind it, of the true route
     distance_m: FloatArray  # front bumper to the junction, INSIDE_M inside
-    blinks: BoolArray  # a blinker is on now
+    blinker: IntArray  # now: +1 left, 0 none, -1 right
     turn: IntArray  # of the connection it will take or is on
     has_choice: BoolArray
     has_line: BoolArray
@@ -71,6 +86,11 @@ class LineSamples:
     @property
     def inside(self) -> BoolArray:
         return self.distance_m < 0.0
+
+    @property
+    def last(self) -> BoolArray:
+        """On the last metres before a junction."""
+        return ~self.inside & (self.distance_m < LAST_M)
 
     @property
     def right(self) -> BoolArray:
@@ -144,11 +164,39 @@ class PassageBook:
         return found
 
 
+class LineJudge:
+    """Follows a run frame by frame, by inference and by the true routes, and collects samples.
+
+    `run` names the run, so that vehicles of several runs stay apart.
+    """
+
+    def __init__(self, road: Road, edge_of: Callable[[str], str], run: str) -> None:
+        self._road, self._book, self._run = road, PassageBook(road, edge_of), run
+        self._tracks = empty_tracks()
+        self._mine, self._true = empty_lines(), empty_lines()
+        self._parts: list[LineSamples] = []
+
+    def see(self, frame: Frame, *, counts: bool) -> None:
+        """One frame on; with `counts` it is judged."""
+        road, scene, routes = self._road, frame.scene, frame.truth.routes
+        self._tracks = extend(self._tracks, scene)
+        self._mine, mine = follow_lines(self._mine, road, self._tracks, scene)
+        self._true, true = follow_lines(self._true, road, self._tracks, scene, routes)
+        if counts:
+            self._parts.append(judge_lines(road, self._book, scene, mine, true))
+
+    def samples(self) -> LineSamples:
+        """Those of all frames so far."""
+        samples = pooled(self._parts)
+        names = [f"{self._run}: {vehicle}" for vehicle in samples.vehicle.tolist()]
+        return replace(samples, vehicle=np.array(names, dtype=np.str_))
+
+
 def judge_lines(
     road: Road, book: PassageBook, scene: Scene, mine: Lines, true: Lines
 ) -> LineSamples:
     """The samples of one moment: `mine` held against `true`, both of the same road and scene."""
-    rows: list[tuple[str, float, bool, int, bool, bool, bool, bool, float]] = []
+    rows: list[tuple[str, str, str, float, int, int, bool, bool, bool, bool, float]] = []
     for k in np.flatnonzero((true.line >= 0) & (scene.kind != Kind.PEDESTRIAN)).tolist():
         front_m = float(true.s_m[k]) + 0.5 * float(scene.size_m[k, 0])
         ahead = (one for one in book.passages(int(true.line[k])) if one.end_s_m > front_m)
@@ -166,8 +214,10 @@ def judge_lines(
         rows.append(
             (
                 scene.ids[k],
+                passage.approach,
+                passage.exit,
                 INSIDE_M if inside else passage.entry_s_m - front_m,
-                bool(scene.blinker[k]),
+                int(scene.blinker[k]),
                 passage.turn,
                 passage.has_choice,
                 line >= 0,
@@ -176,13 +226,22 @@ def judge_lines(
                 float(mine.probability[k]) if line >= 0 else 0.0,
             )
         )
-    columns = list(zip(*rows, strict=True)) or [()] * 9
-    kinds = (np.str_, np.float64, np.bool_, np.int64, np.bool_, np.bool_, np.bool_, np.bool_)
-    vehicle, *rest = (
-        np.array(column, dtype=kind)
-        for column, kind in zip(columns, (*kinds, np.float64), strict=True)
+    columns = list(zip(*rows, strict=True)) or [()] * len(fields(LineSamples))
+    vehicle, approach, way, distance_m, blinker, turn, *flags, probability = columns
+    has_choice, has_line, exits, lanes = (np.array(flag, dtype=np.bool_) for flag in flags)
+    return LineSamples(
+        vehicle=np.array(vehicle, dtype=np.str_),
+        approach=np.array(approach, dtype=np.str_),
+        exit=np.array(way, dtype=np.str_),
+        distance_m=np.array(distance_m, dtype=np.float64),
+        blinker=np.array(blinker, dtype=np.int64),
+        turn=np.array(turn, dtype=np.int64),
+        has_choice=has_choice,
+        has_line=has_line,
+        right_exit=exits,
+        right_lane=lanes,
+        probability=np.array(probability, dtype=np.float64),
     )
-    return LineSamples(vehicle, np.full(len(rows), scene.time_s), *rest)
 
 
 def _position(road: Road, line: int, s_m: float) -> int:
@@ -211,7 +270,7 @@ def _same_way(mine: Passage, true: Passage) -> bool:
 
 
 def pooled(parts: Sequence[LineSamples]) -> LineSamples:
-    """Samples of several moments as one."""
+    """Samples of several moments or runs as one."""
     return LineSamples(
         *(
             np.concatenate([getattr(part, column.name) for part in parts])
@@ -222,13 +281,12 @@ def pooled(parts: Sequence[LineSamples]) -> LineSamples:
 
 def line_scores(samples: LineSamples, scene: str) -> list[Score]:
     """The measures of the table above, each with an interval over vehicles."""
-    last = ~samples.inside & (samples.distance_m < LAST_M)
-    with_line = samples.has_line
+    last, with_line = samples.last, samples.has_line
     wrong_lane = samples.right_exit & ~samples.right_lane
     measures: Mapping[str, tuple[NDArray[np.generic], BoolArray]] = {
         "line_right_inside": (samples.right, samples.inside),
         "line_right_inside_choice": (samples.right, samples.inside & samples.has_choice),
-        "line_right_20m_blinker": (samples.right, last & samples.blinks),
+        "line_right_20m_blinker": (samples.right, last & (samples.blinker != 0)),
         "line_right_20m": (samples.right, last),
         "line_right_20m_choice": (samples.right, last & samples.has_choice),
         "line_right_when_given": (samples.right, with_line),
@@ -236,10 +294,31 @@ def line_scores(samples: LineSamples, scene: str) -> list[Score]:
         "line_fallback_share": (~with_line, np.ones(len(with_line), dtype=np.bool_)),
         "line_wrong_lane_share": (wrong_lane, samples.inside & with_line),
     }
-    return [
+    scores = [
         _score(name, scene, value[among], samples.vehicle[among])
         for name, (value, among) in measures.items()
     ]
+    told, n = told_share(samples)
+    told_score = Score(
+        "line_told_20m_blinker", PREDICTOR, scene, "all", "none", told, "share", n, None, None
+    )
+    return [*scores, told_score]
+
+
+def told_share(samples: LineSamples) -> tuple[float | None, int]:
+    """What the approach and a set blinker tell of the exit, and the number of samples.
+
+    The share of samples on the last metres with a blinker on that one would get right who knew, in
+    hindsight, which exit most of them take who come that way and signal to that side. Where two
+    exits lie on one side, this is far from 1, whatever is made of the signal.
+    """
+    among = samples.last & (samples.blinker != 0)
+    exits: dict[tuple[str, int], Counter[str]] = {}
+    columns = (samples.approach[among], samples.blinker[among], samples.exit[among])
+    for approach, side, way in zip(*(column.tolist() for column in columns), strict=True):
+        exits.setdefault((approach, side), Counter())[way] += 1
+    n = int(among.sum())
+    return (sum(max(ways.values()) for ways in exits.values()) / n if n else None), n
 
 
 def _score(
