@@ -56,6 +56,8 @@ SWITCH_FRAMES: Final = 3
 """... for this many frames ..."""
 SURE_NATS: Final = 1.5
 """... or by this much at once."""
+EQUAL_NATS: Final = 1e-3
+"""Lines this near to each other tie, whatever the last digits say."""
 IDLE_BLINKER_NATS: Final = 4.0
 """To signal and drive straight on (a change of lanes, a forgotten blinker) ..."""
 WRONG_BLINKER_NATS: Final = 5.0
@@ -257,7 +259,7 @@ def _renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: H
         kept, s, cost, now, weight_m = _warp(
             road, tracks, i, float(scene.size_m[i, 0]), np.array(found, dtype=np.int64)
         )
-        nearest = np.argsort(cost, kind="stable")[:MAX_CANDIDATES]
+        nearest = np.sort(np.argsort(cost, kind="stable")[:MAX_CANDIDATES])
         usual = np.argsort(_unusual_nats(road, habits, kept[nearest]), kind="stable")
         order = nearest[usual]
         count = len(order)
@@ -291,7 +293,8 @@ def _before_junction(road: Road, route: Route) -> Route:
 def _unusual_nats(road: Road, habits: Habits, line: IntArray) -> FloatArray:
     """-log likelihood [Q] of all the connections of lines [Q]."""
     nats = share_nats(habits, road.fork_lane[line])
-    return np.where(np.isfinite(road.fork_s_m[line]), nats, 0.0).sum(axis=1)
+    known = np.isfinite(road.fork_s_m[line])
+    return np.round(np.where(known, nats, 0.0).sum(axis=1), 6)
 
 
 def _same_course(road: Road, own: int, candidates: IntArray) -> int:
@@ -378,7 +381,8 @@ def _nearness(away_m: FloatArray, reach_m: tuple[float, float]) -> FloatArray:
 def _choose(state: LineState, score: FloatArray) -> LineState:
     """The best candidate, with hysteresis. Among equals it is the first, the most usual one."""
     rows = np.arange(len(state.ids))
-    best = np.round(score, 6).argmin(axis=1)
+    least = np.min(score, axis=1, initial=np.inf)
+    best = (score <= least[:, None] + EQUAL_NATS).argmax(axis=1)
     some = np.isfinite(score[rows, best])
     own = np.maximum(state.chosen, 0)
     lost = (state.chosen < 0) | ~np.isfinite(score[rows, own])
