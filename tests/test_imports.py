@@ -29,7 +29,7 @@ ONLY_IN = {
 LAYERS = (
     ("", "datatypes", "errors", "geometry", "resources"),
     ("config", "conflict_table", "conflicts", "road", "simulators"),
-    ("graph", "habits", "labels", "lines", "perception", "speed_profile", "tracks"),
+    ("candidates", "graph", "habits", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
     ("learn", "log", "loop", "recordings", "report", "score", "traffic"),
     ("bench", "cli", "commands", "envs"),

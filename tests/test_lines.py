@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from conftest import crossing_lanes, lane, scene_of
 
+from hatn_sim.candidates import REST_FRAMES
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Lane, Lines, Scene
 from hatn_sim.geometry import arc_length_m
 from hatn_sim.habits import Habits, fresh_habits, learn, share_nats, silent_nats
-from hatn_sim.lines import REST_FRAMES, LineState, empty_lines, follow_lines
+from hatn_sim.lines import LineState, empty_lines, follow_lines
 from hatn_sim.road import Road
 from hatn_sim.score.line_accuracy import LineJudge, line_scores
 from hatn_sim.simulators.sumo import SumoSimulator

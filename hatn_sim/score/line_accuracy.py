@@ -99,7 +99,7 @@ class LineSamples:
 
 
 class PassageBook:
-    """The passages of a road's lines, found once each.
+    """The passages of a road's lines, found once each: the road must not release lines meanwhile.
 
     `edge_of` names the edge of a lane: lanes side by side share one.
     """
