@@ -35,6 +35,8 @@ OFF_M: Final = 1.7
 """Half a lane off: another lane may be the nearer one by now (a change of lanes)."""
 REST_FRAMES: Final = 5
 """After a search for candidates near a vehicle that is off its lines."""
+DECIDED_M: Final = 30.0
+"""This far into a junction no other way through it is thought of when candidates are drawn."""
 RENEW_AHEAD_M: Final = 0.6 * AHEAD_M
 """Candidates are drawn anew when less than this is left ahead."""
 
@@ -174,7 +176,7 @@ def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Ha
             if road.lines[own[i]].closed_end or lane == state.renewed[i]:
                 continue  # there is no more of the road, or no more than was drawn on this lane
             fields["renewed"][i] = lane
-            prefixes = [_before_junction(road, road.trim(road.lines[own[i]].route, s_now))]
+            prefixes = [_undecided(road, int(own[i]), s_now)]
         found = list(dict.fromkeys(k for p in prefixes for k in road.branches(p, kind)))
         fields["line"][i] = -1
         fields["chosen"][i] = -1
@@ -195,11 +197,20 @@ def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Ha
     return replace(state, **fields)
 
 
-def _before_junction(road: Road, route: Route) -> Route:
-    """A route cut back to before the junction that it ends in, so that every way is still open."""
+def _undecided(road: Road, line: int, s_m: float) -> Route:
+    """The lanes of a line up to an arc length, without the junction that a vehicle is just in.
+
+    So every way through it is still open.
+    """
+    route, start_s_m = road.trim(line, s_m), road.lines[line].lane_start_s_m
+    now = int(np.searchsorted(start_s_m, s_m, side="right")) - 1
     end = len(route)
-    while end > 1 and road.lanes[route[end - 1]].is_connection:
-        end -= 1
+    while (
+        end > 1
+        and road.lanes[route[end - 1]].is_connection
+        and s_m - float(start_s_m[now]) < DECIDED_M
+    ):
+        end, now = end - 1, now - 1
     return route[:end]
 
 

@@ -34,6 +34,14 @@ def resample(xy_m: FloatArray, step_m: float) -> FloatArray:
     return out
 
 
+def cut_polyline(xy_m: FloatArray, from_m: float, to_m: float) -> FloatArray:
+    """The part of a polyline [P, 2] between two arc lengths."""
+    s_m = arc_length_m(xy_m)
+    inside = (s_m > from_m) & (s_m < to_m)
+    ends = [[np.interp(at, s_m, xy_m[:, axis]) for axis in (0, 1)] for at in (from_m, to_m)]
+    return np.concatenate((ends[:1], xy_m[inside], ends[1:]))
+
+
 def tangent_rad(xy_m: FloatArray) -> FloatArray:
     """Unwrapped direction [P] of a polyline [P, 2] at its vertices, by central differences."""
     step = np.empty_like(xy_m)
@@ -43,43 +51,42 @@ def tangent_rad(xy_m: FloatArray) -> FloatArray:
 
 
 def nearest_vertex(
-    lines_xy_m: FloatArray, line: IntArray, xy_m: FloatArray, index: IntArray
+    vertices_xy_m: FloatArray, base: IntArray, xy_m: FloatArray, index: IntArray
 ) -> tuple[IntArray, FloatArray]:
-    """The nearest of the vertices `index` [Q, W] of lines `line` [Q] to the points `xy_m` [Q, 2].
+    """The nearest of the vertices `index` [Q, W], counted from `base` [Q], to points `xy_m` [Q, 2].
 
-    `lines_xy_m` [L, P, 2] is padded. Returns the vertex [Q] and its squared distance [Q] in m2.
+    `vertices_xy_m` [V, 2] holds many lines one after the other. Returns the index [Q] and its
+    squared distance [Q] in m2.
     """
-    flat = lines_xy_m.reshape(-1, 2)
-    at = flat[line[:, None] * lines_xy_m.shape[1] + index]
+    at = vertices_xy_m[base[:, None] + index]
     dx = at[..., 0] - xy_m[:, None, 0]
     dy = at[..., 1] - xy_m[:, None, 1]
     squared = dx * dx + dy * dy
     best = squared.argmin(axis=1)
-    rows = np.arange(len(line))
+    rows = np.arange(len(base))
     return index[rows, best], squared[rows, best]
 
 
 def project_at(
-    lines_xy_m: FloatArray,
+    vertices_xy_m: FloatArray,
+    base: IntArray,
     count: IntArray,
     step_m: float,
-    line: IntArray,
     xy_m: FloatArray,
     vertex: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Arc length s [Q] and left-positive offset d [Q] of points near the vertex [Q] of their line.
 
+    The line of a point is the `count` [Q] vertices of `vertices_xy_m` [V, 2] from `base` [Q] on.
     The foot point lies on one of the two segments that meet at the vertex. Before the first and
     behind the last vertex of a line, the end segments are drawn out straight.
     """
-    flat = lines_xy_m.reshape(-1, 2)
-    base = line * lines_xy_m.shape[1]
-    last = count[line] - 2
-    best_s: FloatArray = np.zeros(len(line))
+    last = count - 2
+    best_s: FloatArray = np.zeros(len(base))
     best_d, best_square = best_s, best_s
     for which, shift in enumerate((-1, 0)):
         segment = np.clip(vertex + shift, 0, last)
-        start, end = flat[base + segment], flat[base + segment + 1]
+        start, end = vertices_xy_m[base + segment], vertices_xy_m[base + segment + 1]
         along = end - start
         offset = xy_m - start
         length2 = np.maximum((along * along).sum(axis=1), 1e-12)
@@ -100,19 +107,28 @@ def project_at(
 
 
 def window(
-    count: IntArray, line: IntArray, low_s_m: FloatArray, vertices: int, step_m: float, stride: int
+    count: IntArray, low_s_m: FloatArray, vertices: int, step_m: float, stride: int
 ) -> IntArray:
-    """Vertex indices [Q, vertices] of each line from `low_s_m` on, `stride` apart, clipped."""
+    """Vertex indices [Q, vertices] of lines with `count` [Q] vertices from `low_s_m` [Q] on.
+
+    They are `stride` apart and never beyond the ends.
+    """
     first = np.floor(low_s_m / step_m).astype(np.int64)
     index = first[:, None] + stride * np.arange(vertices)
-    return np.clip(index, 0, count[line][:, None] - 1)
+    return np.clip(index, 0, count[:, None] - 1)
 
 
-def interpolate(values: NDArray[np.float64], line: IntArray, position: FloatArray) -> FloatArray:
-    """Linear interpolation of per-vertex `values` [L, P(, D)] at fractional indices [Q, ...]."""
-    below = np.clip(np.floor(position).astype(np.int64), 0, values.shape[1] - 2)
+def interpolate(
+    values: NDArray[np.float64], base: IntArray, count: IntArray, position: FloatArray
+) -> FloatArray:
+    """Linear interpolation of per-vertex `values` [V(, D)] at fractional indices [Q, ...].
+
+    Row q counts from `base` [Q] and stays within its `count` [Q] vertices.
+    """
+    shape = base.shape + (1,) * (position.ndim - base.ndim)
+    base, last = base.reshape(shape), count.reshape(shape) - 2
+    below = np.clip(np.floor(position).astype(np.int64), 0, last)
     part = np.clip(position - below, 0.0, 1.0)
-    row = line.reshape(line.shape + (1,) * (position.ndim - line.ndim))
-    low, high = values[row, below], values[row, below + 1]
+    low, high = values[base + below], values[base + below + 1]
     part = part.reshape(part.shape + (1,) * (low.ndim - part.ndim))
     return low + part * (high - low)

@@ -117,7 +117,7 @@ def _interacting(
     ego_m[:, 0] = rear_m[:, 0] = FREE_M
     row_of = np.full(len(scene.ids), -1, dtype=np.int64)
     row_of[ego] = np.arange(len(ego))
-    met = _active_conflicts(road, seen, ego)
+    met = active_conflicts(road, seen, ego)
     if len(met.ego):
         one, other = row_of[met.ego], met.other
         order = np.lexsort((met.rank, np.maximum(met.ego_m, met.other_m), one))
@@ -140,7 +140,7 @@ def _interacting(
 
 
 @dataclass(frozen=True, eq=False)
-class _Active:
+class Active:
     """Who meets whom, one row for each ego and other vehicle: the first conflict of the two."""
 
     ego: IntArray  # [I] vehicle
@@ -151,7 +151,7 @@ class _Active:
     rank: IntArray  # [I] of the other's id
 
 
-def _active_conflicts(road: Road, seen: Perception, ego: IntArray) -> _Active:
+def active_conflicts(road: Road, seen: Perception, ego: IntArray) -> Active:
     """Conflicts within reach of both vehicles: for each pair the first along the ego's line."""
     line, s, ids = seen.lines.line, seen.lines.s_m, seen.scene.ids
     near = np.zeros((0, 2), dtype=np.int64)
@@ -173,7 +173,7 @@ def _active_conflicts(road: Road, seen: Perception, ego: IntArray) -> _Active:
     first = order[np.concatenate(([True], both[1:] != both[:-1]))] if len(order) else order
     other = other[first]
     rank = np.argsort(np.argsort(np.array(ids)))[other] if len(other) else other
-    return _Active(ego_of[first], other, ego_m[first], other_m[first], kind[first], rank)
+    return Active(ego_of[first], other, ego_m[first], other_m[first], kind[first], rank)
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,8 +338,9 @@ def _vehicle_context(road: Road, seen: Perception, gates: _Gates) -> _VehicleCon
     if len(road.count):
         index = ((lines.s_m[:, None] + np.array(AHEAD_AT_M)) / LINE_STEP_M).astype(np.int64)
         index = np.clip(index, 0, road.count[safe][:, None] - 1)
-        profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[safe[:, None], index]
-        profile[:, len(AHEAD_AT_M) : -1] = road.curvature_per_m[safe[:, None], index]
+        index += road.offset[safe][:, None]
+        profile[:, : len(AHEAD_AT_M)] = road.speed_limit_mps[index]
+        profile[:, len(AHEAD_AT_M) : -1] = road.curvature_per_m[index]
         allowed = allowed_speed_mps(road, safe, lines.s_m)
         profile[:, -1] = free_travel_m(allowed, seen.own.speed_mps[:, -1])
     half_m = 0.5 * scene.size_m[:, 0]

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from hatn_sim.conflict_table import ConflictTable
 from hatn_sim.conflicts import CONFLICT_WIDTH_M, find_conflicts
@@ -23,42 +22,47 @@ from hatn_sim.datatypes import (
     Route,
 )
 from hatn_sim.geometry import (
+    cut_polyline,
     interpolate,
     nearest_vertex,
     project_at,
     resample,
     tangent_rad,
     window,
-    wrap_angle,
 )
+from hatn_sim.lane_index import LaneIndex
 
 LINE_STEP_M: Final = 0.5
 AHEAD_M: Final = 150.0
 """How far candidate lines are drawn out beyond the lane they start from."""
 BEHIND_M: Final = 60.0
 """How much of a line is kept behind a vehicle: more than three seconds of history."""
+SPARE_M: Final = 100.0
+"""Lines are cut where more than this is to spare; uncut they serve vehicles on all their lanes."""
 MAX_BRANCHES: Final = 16
 MAX_FORKS: Final = 24
 NEAR_M: Final = 3.5
 NEAR_RAD: Final = np.deg2rad(60.0)
 COARSE: Final = 8
 """Vertices apart for a first look along a line."""
+_WHOLE: Final = -1
+"""In place of a lane's position in a route: the line is not cut to what is near that lane."""
 
 
 class Road:
     """The lane graph of a place, and the reference lines and conflicts drawn from it so far.
 
     Lines are drawn as vehicles need them. Whoever runs for long lets go of those not touched for a
-    while with `release`; their numbers are given to new lines then. Per-line arrays are padded to
-    the longest line; row i belongs to `lines[i]`:
+    while with `release`; their numbers are given to new lines then. Vertices of all lines lie one
+    after the other; those of `lines[i]` are the `count[i]` from `offset[i]` on:
 
     | array | shape | content |
     |---|---|---|
-    | `xy_m` | [L, P, 2] | centre line, a vertex every `LINE_STEP_M` |
-    | `yaw_rad` | [L, P] | unwrapped direction |
-    | `speed_limit_mps` | [L, P] | of the lane at the vertex |
-    | `curvature_per_m` | [L, P] | signed, left positive |
-    | `count` | [L] | vertices |
+    | `offset`, `count` | [L] | where a line's vertices are |
+    | `xy_m` | [V, 2] | centre line, a vertex every `LINE_STEP_M` |
+    | `yaw_rad` | [V] | direction, unwrapped along the line |
+    | `speed_limit_mps` | [V] | of the lane at the vertex |
+    | `curvature_per_m` | [V] | signed, left positive |
     | `gate_s_m`, `gate_type`, `gate_signal` | [L, G] | ends of lanes with a stop or give-way line |
     | `fork_s_m`, `fork_end_s_m`, `fork_turn` | [L, G] | connections through junctions |
     | `fork_lane` | [L, G] | numbers of their lanes, in the order of `lanes` |
@@ -67,12 +71,14 @@ class Road:
     def __init__(self, lanes: Iterable[Lane]) -> None:
         self.lanes: dict[str, Lane] = {lane.id: lane for lane in lanes}
         self.lines: list[ReferenceLine] = []
-        self._line_of_route: dict[Route, int] = {}
+        self._line_of: dict[tuple[Route, int], int] = {}
         self._branches: dict[tuple[Route, Kind], tuple[int, ...]] = {}
-        self.xy_m: FloatArray = np.zeros((0, 2, 2))
-        self.yaw_rad: FloatArray = np.zeros((0, 2))
-        self.speed_limit_mps: FloatArray = np.zeros((0, 2))
-        self.curvature_per_m: FloatArray = np.zeros((0, 2))
+        self.xy_m: FloatArray = np.zeros((0, 2))
+        self.yaw_rad: FloatArray = np.zeros(0)
+        self.speed_limit_mps: FloatArray = np.zeros(0)
+        self.curvature_per_m: FloatArray = np.zeros(0)
+        self._vertices = 0  # in use
+        self.offset: IntArray = np.zeros(0, dtype=np.int64)
         self.count: IntArray = np.zeros(0, dtype=np.int64)
         self.gate_s_m: FloatArray = np.zeros((0, MAX_FORKS))
         self.gate_type: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
@@ -103,44 +109,49 @@ class Road:
         return before
 
     @cached_property
-    def _lane_samples(self) -> tuple[KDTree, IntArray, FloatArray, tuple[str, ...]]:
-        """Points every 2 m of every lane, the lane of each and the lane's direction there."""
-        names = tuple(self.lanes)
-        points = [resample(self.lanes[name].xy_m, 2.0) for name in names]
-        owner = np.repeat(np.arange(len(names)), [len(p) for p in points])
-        yaw = np.concatenate([tangent_rad(p) for p in points])
-        return KDTree(np.concatenate(points)), owner, yaw, names
+    def _lane_index(self) -> LaneIndex:
+        return LaneIndex([lane.xy_m for lane in self.lanes.values()])
+
+    @cached_property
+    def _lane_names(self) -> tuple[str, ...]:
+        return tuple(self.lanes)
 
     def lanes_near(self, xy_m: FloatArray, yaw_rad: float, kind: Kind) -> list[str]:
         """Lanes within `NEAR_M` and `NEAR_RAD` of a pose that a `kind` may use, nearest first."""
-        tree, owner, yaw, names = self._lane_samples
-        distance, found = tree.query(xy_m, k=min(64, len(owner)), distance_upper_bound=NEAR_M + 1.0)
-        out: list[str] = []
-        for away_m, sample in zip(np.atleast_1d(distance), np.atleast_1d(found), strict=True):
-            if not np.isfinite(away_m):
-                break
-            lane = self.lanes[names[owner[sample]]]
-            turned = abs(float(wrap_angle(np.asarray(yaw[sample] - yaw_rad))))
-            if lane.id not in out and turned <= NEAR_RAD and kind in lane.kinds:
-                out.append(lane.id)
-        return out
+        found = self._lane_index.near(xy_m, yaw_rad, NEAR_M, NEAR_RAD)
+        names = (self._lane_names[number] for number in found)
+        return [name for name in names if kind in self.lanes[name].kinds]
 
     # -- lines --------------------------------------------------------------------------------
 
     def line(self, route: Route) -> int:
-        """The index of the reference line along the lanes of `route`."""
-        index = self._line_of_route.get(route)
-        if index is None:
-            index = self._add_line(route)
-            self._line_of_route[route] = index
-        return index
+        """The index of the reference line along all of the lanes of `route`."""
+        return self._line(route, _WHOLE)
 
     def branches(self, prefix: Route, kind: Kind) -> tuple[int, ...]:
-        """Lines that begin with `prefix` and go on through every connection for `AHEAD_M`."""
+        """Lines that begin with `prefix` and go on through every connection for `AHEAD_M`.
+
+        Where lanes are long they are drawn from `BEHIND_M` before the last lane of the prefix to
+        `AHEAD_M` behind it only.
+        """
         key = (prefix, kind)
         if key not in self._branches:
-            self._branches[key] = tuple(self.line(route) for route in self._extend(prefix, kind))
+            here = len(prefix) - 1
+            need_m = BEHIND_M + _length_m(self.lanes[prefix[-1]]) + AHEAD_M + SPARE_M
+            routes = self._extend(prefix, kind)
+            whole_m = [sum(_length_m(self.lanes[name]) for name in route) for route in routes]
+            self._branches[key] = tuple(
+                self._line(route, _WHOLE if length_m < need_m else here)
+                for route, length_m in zip(routes, whole_m, strict=True)
+            )
         return self._branches[key]
+
+    def _line(self, route: Route, here: int) -> int:
+        index = self._line_of.get((route, here))
+        if index is None:
+            index = self._add_line(route, here)
+            self._line_of[route, here] = index
+        return index
 
     def prefix_to(self, lane_id: str, kind: Kind) -> Route:
         """Lanes that lead to `lane_id`, the straightest first, for `BEHIND_M`, and itself."""
@@ -158,13 +169,12 @@ class Road:
             length_m += _length_m(self.lanes[best])
         return tuple(route)
 
-    def trim(self, route: Route, s_m: float) -> Route:
-        """The part of `route` from `BEHIND_M` before the arc length `s_m` to the lane at it."""
-        line = self.lines[self.line(route)]
-        start = line.lane_start_s_m
+    def trim(self, line: int, s_m: float) -> Route:
+        """The lanes of a line from `BEHIND_M` before the arc length `s_m` to the lane at it."""
+        start = self.lines[line].lane_start_s_m
         now = int(np.searchsorted(start, s_m, side="right")) - 1
         first = int(np.searchsorted(start, max(s_m - BEHIND_M, 0.0), side="right")) - 1
-        return route[max(first, 0) : max(now, 0) + 1]
+        return self.lines[line].route[max(first, 0) : max(now, 0) + 1]
 
     def lane_number(self, line: int, s_m: float) -> int:
         """A number for the lane of a line at an arc length, the same for every line over it."""
@@ -192,34 +202,37 @@ class Road:
             open_routes.sort()
         return done
 
-    def _add_line(self, route: Route) -> int:
+    def _add_line(self, route: Route, here: int) -> int:
         lanes = [self.lanes[name] for name in route]
         lengths = np.array([_length_m(lane) for lane in lanes])
-        start_s_m = np.concatenate(([0.0], np.cumsum(lengths)[:-1]))
-        xy_m = resample(np.concatenate([lane.xy_m for lane in lanes]), LINE_STEP_M)
+        ends = np.cumsum(lengths)
+        xy_m = np.concatenate([lane.xy_m for lane in lanes])
+        cut_m = (0.0, float(ends[-1]))
+        if here != _WHOLE:
+            before_m, behind_m = ends[here] - lengths[here] - BEHIND_M, ends[here] + AHEAD_M
+            cut_m = (max(0.0, float(before_m)), min(float(behind_m), cut_m[1]))
+            xy_m = cut_polyline(xy_m, *cut_m)
+        start_s_m = ends - lengths - cut_m[0]
+        closed_end = not lanes[-1].successors and cut_m[1] == ends[-1]
+        xy_m = resample(xy_m, LINE_STEP_M)
         index = self._free.pop() if self._free else len(self.lines)
-        closed_end = not lanes[-1].successors
         line = ReferenceLine(index, route, xy_m, start_s_m, closed_end)
         if index == len(self.lines):
             self.lines.append(line)
         else:
             self.lines[index] = line
-        self._grow(index + 1, len(xy_m))
-        self._touched[index] = self._clock
         count = len(xy_m)
+        self._grow(index + 1, self._vertices + count)
+        self.offset[index], self.count[index] = self._vertices, count
+        self._touched[index] = self._clock
+        own = slice(self._vertices, self._vertices + count)
+        self._vertices += count
         yaw_rad = tangent_rad(xy_m)
         at_m = np.arange(count) * LINE_STEP_M
         lane_at = np.clip(np.searchsorted(start_s_m, at_m, side="right") - 1, 0, len(lanes) - 1)
-        self.count[index] = count
-        self.xy_m[index, :count] = xy_m
-        self.xy_m[index, count:] = xy_m[-1]
-        self.yaw_rad[index, :count] = yaw_rad
-        self.yaw_rad[index, count:] = yaw_rad[-1]
-        limits = np.array([lane.speed_limit_mps for lane in lanes])[lane_at]
-        self.speed_limit_mps[index, :count] = limits
-        self.speed_limit_mps[index, count:] = limits[-1]
-        self.curvature_per_m[index, :count] = _smooth_curvature(yaw_rad)
-        self.curvature_per_m[index, count:] = 0.0
+        self.xy_m[own], self.yaw_rad[own] = xy_m, yaw_rad
+        self.speed_limit_mps[own] = np.array([lane.speed_limit_mps for lane in lanes])[lane_at]
+        self.curvature_per_m[own] = _smooth_curvature(yaw_rad)
         self._add_gates(index, lanes, start_s_m, lengths)
         return index
 
@@ -246,24 +259,17 @@ class Road:
                 fork += 1
 
     def _grow(self, lines: int, vertices: int) -> None:
-        rows, columns = self.yaw_rad.shape
-        if lines <= rows and vertices <= columns:
-            return
-        rows = max(rows, 32) if lines <= rows else max(32, 2 * lines)
-        columns = max(columns, int(1.25 * vertices) if vertices > columns else columns)
-        for name in ("xy_m", "yaw_rad", "speed_limit_mps", "curvature_per_m"):
+        if vertices > len(self.yaw_rad):
+            self._resize(_PER_VERTEX, max(8192, int(1.5 * vertices)))
+        if lines > len(self.count):
+            self._resize(_PER_LINE, max(32, 2 * lines))
+
+    def _resize(self, names: Iterable[str], rows: int) -> None:
+        for name in names:
             old = getattr(self, name)
-            new = np.zeros((rows, columns, *old.shape[2:]))
-            new[: old.shape[0], : old.shape[1]] = old
-            new[: old.shape[0], old.shape[1] :] = old[:, -1:] if name != "curvature_per_m" else 0.0
+            new = np.empty((rows, *old.shape[1:]), dtype=old.dtype)
+            new[: len(old)] = old
             setattr(self, name, new)
-        for name, empty in _NO_GATES.items():
-            old = getattr(self, name)
-            new = np.full((rows, MAX_FORKS), empty, dtype=old.dtype)
-            new[: old.shape[0]] = old
-            setattr(self, name, new)
-        self.count = np.concatenate((self.count, np.full(rows - len(self.count), 2)))
-        self._touched = np.concatenate((self._touched, np.zeros(rows - len(self._touched), int)))
 
     def touch(self, line: IntArray) -> None:
         """Time goes on by a frame, in which the lines [...] are in use; -1 stands for none."""
@@ -282,13 +288,24 @@ class Road:
         if not len(gone):
             return
         dropped = set(gone.tolist())
-        for index in dropped:
-            del self._line_of_route[self.lines[index].route]
+        self._line_of = {key: i for key, i in self._line_of.items() if i not in dropped}
         self._free += sorted(dropped, reverse=True)
         self._branches = {
             key: lines for key, lines in self._branches.items() if dropped.isdisjoint(lines)
         }
         self.conflict_table.drop(gone)
+        self._close_gaps()
+
+    def _close_gaps(self) -> None:
+        kept = np.array(sorted(self._line_of.values()), dtype=np.int64)
+        count = self.count[kept]
+        start = np.cumsum(count) - count
+        self._vertices = int(count.sum())
+        old = np.repeat(self.offset[kept] - start, count) + np.arange(self._vertices)
+        for name in _PER_VERTEX:
+            values = getattr(self, name)
+            values[: self._vertices] = values[old]
+        self.offset[kept] = start
 
     # -- coordinates --------------------------------------------------------------------------
 
@@ -296,10 +313,11 @@ class Road:
         self, line: IntArray, xy_m: FloatArray, guess_s_m: FloatArray, reach_m: float
     ) -> tuple[FloatArray, FloatArray]:
         """Frenet s, d [Q] of points [Q, 2] on lines [Q], searched within `reach_m` of a guess."""
+        base, count = self.offset[line], self.count[line]
         vertices = int(2 * reach_m / LINE_STEP_M) + 2
-        index = window(self.count, line, guess_s_m - reach_m, vertices, LINE_STEP_M, 1)
-        vertex, _ = nearest_vertex(self.xy_m, line, xy_m, index)
-        return project_at(self.xy_m, self.count, LINE_STEP_M, line, xy_m, vertex)
+        index = window(count, guess_s_m - reach_m, vertices, LINE_STEP_M, 1)
+        vertex, _ = nearest_vertex(self.xy_m, base, xy_m, index)
+        return project_at(self.xy_m, base, count, LINE_STEP_M, xy_m, vertex)
 
     def track(
         self, line: IntArray, xy_m: FloatArray, guess_s_m: FloatArray, steps: int = 1
@@ -309,23 +327,21 @@ class Road:
         One Newton step along the tangent at the guess finds the segment: half the work of
         `project`, for points carried on from frame to frame.
         """
-        last = self.count[line] - 1
+        base, count = self.offset[line], self.count[line]
+        last = count - 1
         vertex = np.clip(np.rint(guess_s_m / LINE_STEP_M).astype(np.int64), 0, last)
         for _ in range(steps):
-            away = xy_m - self.xy_m[line, vertex]
-            yaw = self.yaw_rad[line, vertex]
+            away = xy_m - self.xy_m[base + vertex]
+            yaw = self.yaw_rad[base + vertex]
             ahead_m = away[:, 0] * np.cos(yaw) + away[:, 1] * np.sin(yaw)
             vertex = np.clip(vertex + np.rint(ahead_m / LINE_STEP_M).astype(np.int64), 0, last)
-        return project_at(self.xy_m, self.count, LINE_STEP_M, line, xy_m, vertex)
+        return project_at(self.xy_m, base, count, LINE_STEP_M, xy_m, vertex)
 
     def search(
         self, line: IntArray, xy_m: FloatArray, low_s_m: FloatArray, reach_m: float
     ) -> tuple[FloatArray, FloatArray]:
         """Frenet s, d [Q] of points anywhere between `low_s_m` and `reach_m` further on."""
-        vertices = int(reach_m / (LINE_STEP_M * COARSE)) + 2
-        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, COARSE)
-        coarse, _ = nearest_vertex(self.xy_m, line, xy_m, index)
-        coarse_s_m = coarse.astype(np.float64) * LINE_STEP_M
+        coarse_s_m, _ = self.coarse_distance_m(line, xy_m, low_s_m, reach_m)
         return self.project(line, xy_m, coarse_s_m, 0.75 * COARSE * LINE_STEP_M)
 
     def coarse_distance_m(
@@ -333,13 +349,13 @@ class Road:
     ) -> tuple[FloatArray, FloatArray]:
         """s [Q] and distance [Q] of the nearest of the vertices 4 m apart: a cheap first look."""
         vertices = int(reach_m / (LINE_STEP_M * COARSE)) + 2
-        index = window(self.count, line, low_s_m, vertices, LINE_STEP_M, COARSE)
-        vertex, square = nearest_vertex(self.xy_m, line, xy_m, index)
+        index = window(self.count[line], low_s_m, vertices, LINE_STEP_M, COARSE)
+        vertex, square = nearest_vertex(self.xy_m, self.offset[line], xy_m, index)
         return vertex.astype(np.float64) * LINE_STEP_M, np.sqrt(square)
 
     def line_yaw_rad(self, line: IntArray, s_m: FloatArray) -> FloatArray:
         """Direction of lines [Q] at arc lengths [Q, ...]."""
-        return interpolate(self.yaw_rad, line, s_m / LINE_STEP_M)
+        return interpolate(self.yaw_rad, self.offset[line], self.count[line], s_m / LINE_STEP_M)
 
     def locate(self, line: IntArray, s_m: FloatArray, d_m: FloatArray) -> FloatArray:
         """Map positions [Q, ..., 2] of Frenet coordinates [Q, ...]; drawn out straight at ends."""
@@ -348,8 +364,8 @@ class Road:
         last = last.reshape(last.shape + (1,) * (position.ndim - last.ndim))
         beyond_m = (np.maximum(position - last, 0.0) + np.minimum(position, 0.0)) * LINE_STEP_M
         at = np.clip(position, 0.0, last)
-        yaw = interpolate(self.yaw_rad, line, at)
-        xy = interpolate(self.xy_m, line, at)
+        yaw = interpolate(self.yaw_rad, self.offset[line], self.count[line], at)
+        xy = interpolate(self.xy_m, self.offset[line], self.count[line], at)
         cos, sin = np.cos(yaw), np.sin(yaw)
         dx = beyond_m * cos - d_m * sin
         dy = beyond_m * sin + d_m * cos
@@ -358,25 +374,53 @@ class Road:
     # -- conflicts ----------------------------------------------------------------------------
 
     def conflicts(self, first: int, second: int) -> tuple[Conflict, ...]:
-        """The conflicts of two lines in order along the first, s on (first, second)."""
-        return find_conflicts(
-            self.xy_m[first, : self.count[first]],
-            self.yaw_rad[first, : self.count[first]],
-            self.xy_m[second, : self.count[second]],
-            self.yaw_rad[second, : self.count[second]],
-            LINE_STEP_M,
+        """The conflicts of two lines in order along the first, s on (first, second).
+
+        Where the road knows junctions, lines that touch outside of them pass over each other.
+        """
+        one, other = (
+            slice(self.offset[k], self.offset[k] + self.count[k]) for k in (first, second)
         )
+        found = find_conflicts(
+            self.xy_m[one], self.yaw_rad[one], self.xy_m[other], self.yaw_rad[other], LINE_STEP_M
+        )
+        if not self._knows_junctions:
+            return found
+        return tuple(
+            conflict
+            for conflict in found
+            if any(
+                self._touches_junction(line, conflict.entry_s_m[side], conflict.exit_s_m[side])
+                for side, line in enumerate((first, second))
+            )
+        )
+
+    @cached_property
+    def _knows_junctions(self) -> bool:
+        return any(lane.is_connection for lane in self.lanes.values())
+
+    def _touches_junction(self, line: int, from_s_m: float, to_s_m: float) -> bool:
+        """Whether a connection is part of a line between two arc lengths."""
+        start = self.lines[line].lane_start_s_m
+        first = max(int(np.searchsorted(start, from_s_m, side="right")) - 1, 0)
+        last = int(np.searchsorted(start, to_s_m, side="right"))
+        return any(self.lanes[name].is_connection for name in self.lines[line].route[first:last])
 
     def _may_meet(self, first: IntArray, second: IntArray) -> BoolArray:
         """Whether lines [Q] and [Q] come near enough for a conflict, by every COARSE-th vertex."""
         apart_m = CONFLICT_WIDTH_M + 1.5 * COARSE * LINE_STEP_M + 0.1
         near = np.zeros(len(first), dtype=np.bool_)
         for some in np.array_split(np.arange(len(first)), len(first) // 64 + 1):
-            one = self.xy_m[first[some], ::COARSE].astype(np.float32)
-            other = self.xy_m[second[some], ::COARSE].astype(np.float32)
+            one, other = self._coarse(first[some]), self._coarse(second[some])
             away = one[:, :, None] - other[:, None]
             near[some] = (np.einsum("qijk,qijk->qij", away, away) < apart_m**2).any(axis=(1, 2))
         return near
+
+    def _coarse(self, line: IntArray) -> FloatArray:
+        """Every COARSE-th vertex [Q, W, 2] of lines [Q]; shorter ones repeat their last."""
+        count = self.count[line]
+        index = np.arange(0, int(count.max(initial=1)) + COARSE, COARSE)
+        return self.xy_m[self.offset[line][:, None] + np.minimum(index, count[:, None] - 1)]
 
 
 _NO_GATES: Final = {
@@ -389,6 +433,8 @@ _NO_GATES: Final = {
     "fork_lane": 0,
 }
 """Per-line arrays [L, MAX_FORKS], and what they hold where there is nothing."""
+_PER_LINE: Final = ("offset", "count", "_touched", *_NO_GATES)
+_PER_VERTEX: Final = ("xy_m", "yaw_rad", "speed_limit_mps", "curvature_per_m")
 
 
 def _length_m(lane: Lane) -> float:

@@ -29,10 +29,9 @@ def allowed_speed_mps(road: Road, line: IntArray, s_m: FloatArray) -> FloatArray
     points = int(REACH_M / PROFILE_STEP_M) + 1
     stride = int(PROFILE_STEP_M / LINE_STEP_M)
     index = (s_m[:, None] / LINE_STEP_M).astype(np.int64) + stride * np.arange(points)
-    index = np.minimum(index, road.count[line][:, None] - 1)
-    rows = line[:, None]
-    bend = LATERAL_MPS2 / np.maximum(np.abs(road.curvature_per_m[rows, index]), 1e-4)
-    square = np.minimum(road.speed_limit_mps[rows, index] ** 2, bend)
+    index = np.clip(index, 0, road.count[line][:, None] - 1) + road.offset[line][:, None]
+    bend = LATERAL_MPS2 / np.maximum(np.abs(road.curvature_per_m[index]), 1e-4)
+    square = np.minimum(road.speed_limit_mps[index] ** 2, bend)
     fall = 2.0 * BRAKING_MPS2 * PROFILE_STEP_M * np.arange(points)
     reachable = np.minimum.accumulate((square + fall)[:, ::-1], axis=1)[:, ::-1] - fall
     return np.sqrt(reachable)

@@ -7,14 +7,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from conftest import scene_of
 
 from hatn_sim import bench, cli
 from hatn_sim.bench import STAGES, Stopwatch, peak_memory_mb
+from hatn_sim.bench_scaling import APART_M, copy_lanes, copy_scene
+from hatn_sim.graph import build_graphs
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
 from hatn_sim.hatn.weights_io import save_weights
+from hatn_sim.perception import begin, perceive
+from hatn_sim.road import Road
 
 LINUX = sys.platform == "linux"
 
@@ -101,3 +107,26 @@ def test_the_peak_of_memory_is_the_process_own() -> None:
     own_mb = peak_memory_mb("self")
     assert own_mb is not None and own_mb > 300.0
     assert peak_memory_mb("0") is None
+
+
+def test_copies_of_a_scene_have_graphs_of_their_own(crossing: Road) -> None:
+    lanes = list(crossing.lanes.values())
+    scene = scene_of(0.0, {"a": (-30.0, 0.0, 0.0, 8.0), "b": (0.0, -40.0, np.pi / 2, 8.0)})
+    alone = build_graphs(crossing, perceive(begin(crossing), scene, None).seen)
+    wide = Road([lane for copy in range(3) for lane in copy_lanes(lanes, copy)])
+    graphs = build_graphs(wide, perceive(begin(wide), copy_scene(scene, 3), None).seen)
+    assert graphs.ids == ("0/a", "0/b", "1/a", "1/b", "2/a", "2/b")
+    for copy in range(3):
+        own = slice(2 * copy, 2 * copy + 2)
+        np.testing.assert_allclose(graphs.x[own], alone.x, atol=1e-9)
+        np.testing.assert_allclose(graphs.conflict_xy_m[own, :2, 0], copy * APART_M, atol=1e-6)
+
+
+def test_the_scaling_table_has_a_row_for_all_sizes(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "--scaling", "--scene", "tjunction", "--steps", "1", "--json"]
+    assert cli.main(words) == 0
+    rows = json.loads(capsys.readouterr().out)
+    vehicles = [row["vehicles"] for row in rows]
+    assert vehicles[-1] == vehicles[0] > 0 and vehicles[-2] == pytest.approx(100 * vehicles[0])
+    assert rows[-1]["lane_km"] == pytest.approx(100 * rows[0]["lane_km"])
+    assert all(row["perceive_ms"] > 0.0 and row["graphs_ms"] > 0.0 for row in rows)

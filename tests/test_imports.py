@@ -12,31 +12,35 @@ import hatn_sim
 
 PACKAGE = Path(hatn_sim.__file__).parent
 
+HIGHWAY = tuple(f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_traffic"))
+
 ONLY_IN = {
     "torch": ("hatn", "learn"),
     "safetensors": ("hatn", "learn"),
-    "libsumo": ("simulators.sumo_worker",),
+    "libsumo": ("simulators.sumo_worker", "simulators.sumo_replay_worker"),
     "traci": (),
     "sumolib": (),
-    "highway_env": ("simulators.highway",),
-    "gymnasium": ("envs", "simulators.highway"),
+    "highway_env": HIGHWAY,
+    "gymnasium": ("envs", *HIGHWAY),
     "pyarrow": ("log", "recordings"),
+    "pyproj": ("recordings",),
+    "lanelet2": (),
     "matplotlib": ("report",),
     "rich": ("report", "commands"),
 }
 """Package -> the modules, or packages of modules, that may import it."""
 
 LAYERS = (
-    ("", "datatypes", "errors", "geometry", "resources"),
-    ("config", "conflict_table", "conflicts", "road", "simulators"),
+    ("", "datatypes", "errors", "geometry", "plugins", "resources", "safe_xml"),
+    ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
     ("candidates", "graph", "habits", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
     ("learn", "log", "loop", "recordings", "report", "score", "traffic"),
-    ("bench", "cli", "commands", "envs"),
+    ("bench", "bench_scaling", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 
-SIMULATORS_IMPORT = ("config", "datatypes", "errors", "geometry", "road", "simulators")
+SIMULATORS_IMPORT = ("config", "datatypes", "errors", "geometry", "road", "safe_xml", "simulators")
 
 
 def parse(path: Path) -> ast.Module:

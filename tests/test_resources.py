@@ -24,7 +24,7 @@ LOOK = """
 import json, sys
 from hatn_sim import resources
 from hatn_sim.config import load_scenario
-from hatn_sim.simulators.sumo import SumoSimulator
+from hatn_sim.traffic import open_traffic
 
 scenes = {}
 for name in resources.find_scenarios():
@@ -32,9 +32,10 @@ for name in resources.find_scenarios():
     for density in scenario.densities:
         for risk in scenario.risks:
             load_scenario(name, density, risk)
-    with SumoSimulator(scenario) as simulator:
-        simulator.reset(1)
-        scenes[name] = simulator.step().scene.time_s
+    simulator = open_traffic(scenario)
+    simulator.reset(1)
+    scenes[name] = simulator.step().scene.time_s
+    simulator.close()
 weights = resources.weights_dir()
 print(json.dumps({
     "package": str(resources.PACKAGE_DIR),

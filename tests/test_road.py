@@ -9,7 +9,7 @@ from conftest import crossing_lanes, lane
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hatn_sim.datatypes import ConflictType, Kind
+from hatn_sim.datatypes import ConflictType, FloatArray, Kind
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
 from hatn_sim.road import LINE_STEP_M, Road
 
@@ -85,6 +85,104 @@ def test_two_lines_may_conflict_twice() -> None:
     ]
 
 
+def test_one_lane_in_two_directions_is_a_conflict_over_all_of_it() -> None:
+    """Two roads share the strip from x = 0 to 60 m, one eastwards and one westwards."""
+    road = Road(
+        [
+            lane("east", [(-40, -30), (0, 0), (60, 0), (100, -30)]),
+            lane("west", [(100, 30), (60, 0), (0, 0), (-40, 30)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("east",)), road.line(("west",)))
+    assert found.type is ConflictType.CROSS
+    # 50 m on the ramps, which part at atan(3/4) to either side: 1.8 m apart after 1.5 m.
+    np.testing.assert_allclose(found.entry_s_m, (48.5, 48.5), atol=1.6)
+    np.testing.assert_allclose(found.exit_s_m, (111.5, 111.5), atol=1.6)
+    np.testing.assert_allclose(found.point_s_m, (80.0, 80.0), atol=0.6)
+
+
+def test_lines_against_each_other_that_change_sides_cross() -> None:
+    turn = np.deg2rad(160.0)
+    other = [(-80 * np.cos(turn), -80 * np.sin(turn)), (80 * np.cos(turn), 80 * np.sin(turn))]
+    road = Road([lane("east", [(-80, 0), (80, 0)]), lane("other", other)])
+    (found,) = road.conflicts(road.line(("east",)), road.line(("other",)))
+    assert found.type is ConflictType.CROSS
+    np.testing.assert_allclose(found.point_s_m, (80.0, 80.0), atol=0.6)
+    # Points of one line are within 1.8 m of the other up to 1.8 m / sin 20 degrees.
+    np.testing.assert_allclose(found.entry_s_m, np.full(2, 80.0 - 1.8 / np.sin(turn)), atol=0.15)
+
+
+def test_lanes_that_part_and_meet_again_conflict_where_they_meet() -> None:
+    """Round an island between x = 30 and 90 m; together before and after."""
+    road = Road(
+        [
+            lane("north", [(0, 0), (30, 0), (40, 5), (80, 5), (90, 0), (150, 0)]),
+            lane("south", [(0, 0), (30, 0), (40, -5), (80, -5), (90, 0), (150, 0)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("north",)), road.line(("south",)))
+    assert found.type is ConflictType.MERGE
+    # A point h beside the middle is 2 h cos(a) from the other line, with tan(a) = 1/2, and comes
+    # to the middle after h / sin(a).
+    a = np.arctan(0.5)
+    meet_s_m = 30.0 + 40.0 + 2.0 * np.hypot(10.0, 5.0)
+    expected = meet_s_m - 0.9 / (np.cos(a) * np.sin(a))
+    np.testing.assert_allclose(found.entry_s_m, (expected, expected), atol=0.15)
+
+
+def test_lines_that_start_side_by_side_may_still_cross() -> None:
+    """A turn to the right across a narrow lane beside it."""
+    road = Road(
+        [
+            lane("straight", [(0, 0), (80, 0)]),
+            lane("turn", [(0, 1.5), (40, 1.5), (45, 0), (50, -8), (50, -40)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("straight",)), road.line(("turn",)))
+    assert found.type is ConflictType.CROSS
+    np.testing.assert_allclose(found.point_s_m[0], 45.0, atol=0.3)
+
+
+@pytest.mark.parametrize("phase_m", [0.0, 0.2, 0.5])
+def test_a_short_shared_lane_is_a_merge_wherever_the_vertices_fall(phase_m: float) -> None:
+    road = Road(
+        [
+            lane("straight", [(phase_m, 0), (100, 0)]),
+            lane("through", [(20, -20), (40, 0), (46, 0), (66, 20)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("straight",)), road.line(("through",)))
+    assert found.type is ConflictType.MERGE
+    # At 45 degrees 1.8 m away after 1.8 m of the other line, 1.8 m * sqrt 2 of this one.
+    np.testing.assert_allclose(found.entry_s_m[1], np.hypot(20, 20) - 1.8 * 2**0.5, atol=0.15)
+    np.testing.assert_allclose(found.entry_s_m[0], 40.0 - phase_m - 1.8, atol=0.9)
+
+
+def test_a_u_turn_merges_with_oncoming_traffic() -> None:
+    t = np.linspace(0.0, np.pi, 60)
+    arc = list(zip(3.0 * np.sin(t), -3.0 * np.cos(t), strict=True))
+    road = Road(
+        [
+            lane("u", [(-50, -3), *arc, (-60, 3)]),
+            lane("oncoming", [(60, 3), (-60, 3)]),
+        ]
+    )
+    (found,) = road.conflicts(road.line(("u",)), road.line(("oncoming",)))
+    assert found.type is ConflictType.MERGE
+    # The arc is 3 m + 3 m cos t below y = 3: within 1.8 m from cos t = -0.4 on.
+    np.testing.assert_allclose(found.entry_s_m[0], 50.0 + 3.0 * np.arccos(-0.4), atol=0.15)
+
+
+def test_roads_that_meet_at_no_junction_pass_over_each_other() -> None:
+    over = [lane("over", [(-80, -40), (80, -40)])]
+    road = Road([*crossing_lanes(), *over])
+    assert road.conflicts(road.line(("over",)), road.line(SOUTH_NORTH)) == ()
+    assert len(road.conflicts(road.line(WEST_EAST), road.line(SOUTH_NORTH))) == 1
+    # A road that knows no junctions has only its geometry to go by.
+    road = Road([lane("s", [(0, -108), (0, -8)]), *over])
+    assert len(road.conflicts(road.line(("over",)), road.line(("s",)))) == 1
+
+
 def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None:
     lines = np.array([crossing.line(r) for r in (WEST_NORTH, SOUTH_NORTH, WEST_EAST)])
     first, second = np.array([0, 1, 0, 0, 2]), np.array([1, 0, 2, 0, 1])
@@ -100,11 +198,16 @@ def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None
     np.testing.assert_array_equal(found.exit_s_m[2], alone.exit_s_m)
 
 
+def vertices(road: Road, line: int) -> FloatArray:
+    """[P, 2]"""
+    return road.xy_m[road.offset[line] : road.offset[line] + road.count[line]].copy()
+
+
 def test_lines_not_in_use_are_let_go_and_their_numbers_used_again(crossing: Road) -> None:
     kept, gone = crossing.line(WEST_NORTH), crossing.line(SOUTH_NORTH)
     pair = np.array([kept]), np.array([gone])
     before = crossing.conflict_table.of_pairs(*pair).point_s_m
-    xy_m, count = crossing.xy_m[kept].copy(), len(crossing.conflict_table)
+    xy_m, count = vertices(crossing, kept), len(crossing.conflict_table)
     for _ in range(4):
         crossing.touch(np.array([[kept, -1]]))
     crossing.release(idle_frames=4)
@@ -117,12 +220,10 @@ def test_lines_not_in_use_are_let_go_and_their_numbers_used_again(crossing: Road
     assert other == gone and crossing.lines[gone].route == WEST_EAST
     fresh = Road(crossing.lanes.values())
     alone = fresh.line(WEST_EAST)
-    length = int(fresh.count[alone])
-    np.testing.assert_array_equal(crossing.xy_m[other, :length], fresh.xy_m[alone, :length])
-    assert crossing.count[other] == length
+    np.testing.assert_array_equal(vertices(crossing, other), vertices(fresh, alone))
     for name in ("gate_s_m", "fork_s_m", "fork_turn"):
         np.testing.assert_array_equal(getattr(crossing, name)[other], getattr(fresh, name)[alone])
-    np.testing.assert_array_equal(crossing.xy_m[kept], xy_m)
+    np.testing.assert_array_equal(vertices(crossing, kept), xy_m)
     again = crossing.line(SOUTH_NORTH)
     assert again not in (kept, other)
     found = crossing.conflict_table.of_pairs(np.array([kept]), np.array([again]))
@@ -153,7 +254,7 @@ def test_frenet_and_back(s: float, d: float, angle: float, shift: tuple[float, f
 
 def test_projection_agrees_with_shapely(crossing: Road) -> None:
     index = crossing.line(WEST_NORTH)
-    curve = shapely.LineString(crossing.xy_m[index, : crossing.count[index]])
+    curve = shapely.LineString(vertices(crossing, index))
     random = np.random.default_rng(3)
     xy = np.column_stack((random.uniform(-60, 4, 200), random.uniform(-4, 60, 200)))
     line = np.full(200, index)
@@ -194,5 +295,6 @@ def test_gates_and_forks_lie_where_the_lanes_end(crossing: Road) -> None:
 def test_curvature_is_that_of_the_arc(crossing: Road) -> None:
     index = crossing.line(WEST_NORTH)
     middle = int((100.0 + 2.0 * np.pi) / LINE_STEP_M)
-    np.testing.assert_allclose(crossing.curvature_per_m[index, middle], 1.0 / 8.0, rtol=0.03)
-    assert abs(crossing.curvature_per_m[index, 100]) < 1e-9
+    middle += crossing.offset[index]
+    np.testing.assert_allclose(crossing.curvature_per_m[middle], 1.0 / 8.0, rtol=0.03)
+    assert abs(crossing.curvature_per_m[crossing.offset[index] + 100]) < 1e-9

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hatn_sim.bench import Bench
+    from hatn_sim.config import Scenario
 
 EXAMPLES = """examples:
   hatn-sim bench
   hatn-sim bench --scene intersection5 --vehicles 20 --steps 1000 --json
+  hatn-sim bench --scaling
 """
 
 
@@ -44,6 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--weights", type=Path, metavar="FILE", help="weights of hatn (default: those that ship)"
     )
+    parser.add_argument(
+        "--scaling",
+        action="store_true",
+        help="instead: what seeing costs from 10 to 1,000 vehicles and in nets of all sizes",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
@@ -55,6 +62,8 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.resources import weights_dir
 
     scenario = load_scenario(arguments.scene)
+    if arguments.scaling:
+        return _scaling(arguments, scenario)
     predictor = Hatn(arguments.weights or weights_dir() / "hatn.safetensors")
     # In rising order: the peak of this process's memory is the one so far.
     benches = [
@@ -77,6 +86,37 @@ def main(arguments: argparse.Namespace) -> int:
             f"{one.steps} steps; peak memory {_megabytes(one.peak_mb)}, "
             f"SUMO worker {_megabytes(one.worker_peak_mb)}"
         )
+    return 0
+
+
+def _scaling(arguments: argparse.Namespace, scenario: Scenario) -> int:
+    from hatn_sim.bench_scaling import measure_scaling
+
+    rows = measure_scaling(scenario, arguments.steps, arguments.seed)
+    if arguments.json:
+        import json
+        from dataclasses import asdict
+
+        print(json.dumps([asdict(row) for row in rows], indent=2))
+        return 0
+    from rich.table import Table
+
+    from hatn_sim.commands.console import make_console
+
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="italic")
+    for title in ("vehicles", "km of lanes", "tracks, lines, leaders", "graphs", "per vehicle"):
+        table.add_column(title, justify="right")
+    for row in rows:
+        each_us = 1e3 * (row.perceive_ms + row.graphs_ms) / row.vehicles
+        table.add_row(
+            f"{row.vehicles:.0f}",
+            f"{row.lane_km:.0f}",
+            f"{row.perceive_ms:.2f} ms",
+            f"{row.graphs_ms:.2f} ms",
+            f"{each_us:.0f} us",
+        )
+    print(f"milliseconds a step (medians): copies of {scenario.name}, each with the same traffic")
+    make_console().print(table)
     return 0
 
 

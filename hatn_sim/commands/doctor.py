@@ -1,6 +1,7 @@
 """Say what is installed, what is missing and how to get it.
 
-The exit code is 1 if something is missing that hatn-sim does not work without.
+The exit code is 1 if something is missing that hatn-sim does not work without. With --oracle, hold
+the conflicts of a scene's reference lines against those that SUMO itself sees, once a second.
 """
 
 from __future__ import annotations
@@ -13,8 +14,12 @@ import sys
 from dataclasses import asdict, dataclass
 from importlib import metadata, util
 
-EXAMPLES = """example:
+from hatn_sim.commands.options import seconds, seconds_or_none
+
+EXAMPLES = """examples:
   hatn-sim doctor
+  hatn-sim doctor --oracle intersection5 --duration 600
+  hatn-sim doctor --oracle my/town.sumocfg --duration 600 --warm-up 300 --json
 """
 
 
@@ -52,10 +57,33 @@ _EXTRAS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hatn-sim doctor`."""
     parser.add_argument("--json", action="store_true", help="print JSON instead of lines")
+    parser.add_argument(
+        "--oracle", metavar="SCENE", help="compare with SUMO: a scene's name, or a .sumocfg"
+    )
+    parser.add_argument(
+        "--duration",
+        type=seconds,
+        default=600.0,
+        metavar="S",
+        help="with --oracle: seconds to compare (default: 600)",
+    )
+    parser.add_argument(
+        "--warm-up",
+        type=seconds_or_none,
+        metavar="S",
+        help="with --oracle: seconds before (default: 60 in a shipped scene, 0 in yours)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="with --oracle: of the traffic (default: 1)"
+    )
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Look and tell."""
+    if arguments.oracle is not None:
+        from hatn_sim.commands import oracle
+
+        return oracle.main(arguments)
     checks = look()
     if arguments.json:
         print(json.dumps([asdict(check) for check in checks], indent=2))

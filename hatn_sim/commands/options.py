@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
 
-WARM_UP_S = 60.0
+WARM_UP_S: Final = 60.0
+"""For traffic to build up in a shipped scene, unless told otherwise."""
 
 
 def seconds(text: str) -> float:

@@ -3,6 +3,7 @@
 The figures are those of each scene's card, in its scenario.toml. With --measure they are measured
 anew, by running the scene, and stand beside the card's. Densities are measured with the default
 drivers, risk profiles at normal density; the first 300 s, while traffic builds up, are left out.
+Delays are known of SUMO's scenes only.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hatn_sim.config import Scenario
+    from hatn_sim.datatypes import Simulator
     from hatn_sim.score.traffic import TrafficCount
 
 EXAMPLES = """examples:
@@ -153,20 +155,35 @@ def measure(stretch: Stretch) -> TrafficCount:
     from pathlib import Path
 
     from hatn_sim.config import load_scenario
-    from hatn_sim.score.traffic import count_traffic, read_delays_s
+    from hatn_sim.score.traffic import read_delays_s
     from hatn_sim.simulators.sumo import SumoSimulator
+    from hatn_sim.traffic import open_traffic
 
     scenario = load_scenario(stretch.scene, stretch.density, stretch.risk)
+    if scenario.simulator != "sumo":
+        simulator = open_traffic(scenario)
+        try:
+            return _count(simulator, stretch)[0]
+        finally:
+            simulator.close()
     with tempfile.TemporaryDirectory() as folder:
         tripinfo = Path(folder) / "tripinfo.xml"
         with SumoSimulator(scenario, ("--tripinfo-output", str(tripinfo))) as simulator:
-            before = simulator.reset(stretch.seed)
-            for _ in range(round(WARM_UP_S / simulator.dt_s)):
-                before = simulator.step()
-            steps = range(round(stretch.duration_s / simulator.dt_s))
-            count = count_traffic(before, (simulator.step() for _ in steps), simulator.dt_s)
+            count, begin_s = _count(simulator, stretch)
         # SUMO has finished the file now.
-        return count.with_delays(read_delays_s(tripinfo, before.scene.time_s))
+        return count.with_delays(read_delays_s(tripinfo, begin_s))
+
+
+def _count(simulator: Simulator, stretch: Stretch) -> tuple[TrafficCount, float]:
+    """The counts after the warm-up, and the time at which they begin."""
+    from hatn_sim.score.traffic import count_traffic
+
+    before = simulator.reset(stretch.seed)
+    for _ in range(round(WARM_UP_S / simulator.dt_s)):
+        before = simulator.step()
+    steps = range(round(stretch.duration_s / simulator.dt_s))
+    count = count_traffic(before, (simulator.step() for _ in steps), simulator.dt_s)
+    return count, before.scene.time_s
 
 
 def _measure_all(stretches: Sequence[Stretch], workers: int) -> dict[Stretch, TrafficCount]:

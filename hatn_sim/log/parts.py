@@ -106,18 +106,18 @@ def part_count(folder: Path) -> int:
 
 def read_parts(
     folder: Path,
-    parts: int,
+    parts: range,
     columns: Sequence[Column],
     ids: Mapping[str, int] | None = None,
     frames: range | None = None,
 ) -> dict[str, Any]:
-    """The first `parts` parts of a table by column: arrays, or `Ragged` where it is ragged.
+    """Parts of a table by column: arrays, or `Ragged` where it is ragged.
 
     A part that is not there has no rows (a predictor may be asked for a few frames only).
 
     Args:
         folder: of the table.
-        parts: how many count.
+        parts: which of them.
         columns: which to read.
         ids: index of every vehicle; without it, columns of ids are left as strings.
         frames: take only the rows of these frames; it starts at 0.
@@ -126,7 +126,7 @@ def read_parts(
         InputError: a part cannot be read or lacks a column.
     """
     chunks: dict[str, list[Array | Ragged]] = {c.name: [_no_rows(c, ids)] for c in columns}
-    for path in (folder / part_name(part) for part in range(parts)):
+    for path in (folder / part_name(part) for part in parts):
         if not path.exists():
             continue
         table = _read_part(path, list(chunks))

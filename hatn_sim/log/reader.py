@@ -121,25 +121,16 @@ class Run:
     @cached_property
     def ids(self) -> tuple[str, ...]:
         """Every vehicle of the run, in order of appearance."""
-        rows = read_parts(
-            self.path / schema.TRACKS_FOLDER, self.parts, (schema.Column("id", schema.ID),)
-        )
-        return tuple(dict.fromkeys(rows["id"].tolist()))
+        ids: dict[str, None] = {}
+        for part in range(self.parts):
+            rows = self._part(schema.TRACKS_FOLDER, part, (schema.Column("id", schema.ID),))
+            ids |= dict.fromkeys(rows["id"].tolist())
+        return tuple(ids)
 
     @cached_property
     def tracks(self) -> TrackTable:
         rows = self._rows(schema.TRACKS_FOLDER, schema.TRACKS)
-        return TrackTable(
-            frame=rows["frame"].astype(np.int64),
-            vehicle=rows["id"],
-            xy_m=np.stack([rows["x_m"], rows["y_m"]], axis=1),
-            yaw_rad=rows["yaw_rad"],
-            speed_mps=rows["speed_mps"],
-            size_m=np.stack([rows["length_m"], rows["width_m"]], axis=1),
-            kind=rows["kind"].astype(np.int64),
-            colour=np.stack([rows["red"], rows["green"], rows["blue"]], axis=1).astype(np.int64),
-            blinker=rows["blinker"].astype(np.int64),
-        )
+        return TrackTable(rows["frame"].astype(np.int64), rows["id"], **_scene_columns(rows))
 
     @cached_property
     def trajectories(self) -> Trajectories:
@@ -160,36 +151,42 @@ class Run:
         return (frame.scene for frame in self.frames())
 
     def frames(self) -> Iterator[Frame]:
-        """The frames exactly as they were written, with what only the simulator knew."""
-        tracks, index = self.tracks, self._index_of_frames
+        """The frames exactly as they were written, with what only the simulator knew.
+
+        Tables are read part by part: memory is bounded, however long the run.
+        """
         routes: list[Route | None] = [tuple(route) for route in self._lines(schema.ROUTES_FILE)]
-        route_of_row = self._rows(schema.TRUTH_FOLDER, schema.TRUTH)["route"].tolist()
         routes.append(None)  # found by -1
-        first = np.searchsorted(tracks.frame, np.arange(self.frame_count + 1))
-        closed, closed_counts = index["signal_closed"]
-        closed_ends = np.cumsum(closed_counts)
         events: dict[int, list[Event]] = {}
         for event in self.events:
             events.setdefault(event.frame, []).append(event)
-        for frame in range(self.frame_count):
-            rows = slice(first[frame], first[frame + 1])
-            end = closed_ends[frame]
+        for part in range(self.parts):
+            yield from self._frames_of(part, routes, events)
+
+    def _frames_of(
+        self, part: int, routes: list[Route | None], events: Mapping[int, list[Event]]
+    ) -> Iterator[Frame]:
+        index = self._part(schema.FRAMES_FOLDER, part, schema.FRAMES)
+        rows = self._part(schema.TRACKS_FOLDER, part, schema.TRACKS)
+        route_of_row = self._part(schema.TRUTH_FOLDER, part, schema.TRUTH)["route"].tolist()
+        columns, names = _scene_columns(rows), rows["id"].tolist()
+        first = np.searchsorted(rows["frame"], index["frame"])
+        last = np.searchsorted(rows["frame"], index["frame"], side="right")
+        closed, closed_counts = index["signal_closed"]
+        closed_ends = np.cumsum(closed_counts)
+        for place, frame in enumerate(index["frame"].tolist()):
+            here = slice(first[place], last[place])
+            end = closed_ends[place]
             scene = Scene(
-                time_s=float(index["time_s"][frame]),
-                ids=tuple(self.ids[vehicle] for vehicle in tracks.vehicle[rows]),
-                xy_m=tracks.xy_m[rows],
-                yaw_rad=tracks.yaw_rad[rows],
-                speed_mps=tracks.speed_mps[rows],
-                size_m=tracks.size_m[rows],
-                kind=tracks.kind[rows],
-                colour=tracks.colour[rows],
-                blinker=tracks.blinker[rows],
-                signal_closed=closed[end - closed_counts[frame] : end],
+                time_s=float(index["time_s"][place]),
+                ids=tuple(names[here]),
+                **{name: values[here] for name, values in columns.items()},
+                signal_closed=closed[end - closed_counts[place] : end],
             )
             truth = _truth(
-                tuple(routes[route] for route in route_of_row[rows]), events.get(frame, [])
+                tuple(routes[route] for route in route_of_row[here]), events.get(frame, [])
             )
-            yield Frame(scene, truth, bool(index["done"][frame]))
+            yield Frame(scene, truth, bool(index["done"][place]))
 
     def predicted(self, predictor: str, every_frames: int = 1) -> tuple[IntArray, IntArray]:
         """Which (vehicle, frame) a predictor has rows of; cheaper than its whole table."""
@@ -269,7 +266,11 @@ class Run:
 
     @cached_property
     def _index_of_frames(self) -> dict[str, Any]:
-        return read_parts(self.path / schema.FRAMES_FOLDER, self.parts, schema.FRAMES)
+        return read_parts(self.path / schema.FRAMES_FOLDER, range(self.parts), schema.FRAMES)
+
+    def _part(self, folder: str, part: int, columns: tuple[schema.Column, ...]) -> dict[str, Any]:
+        """One part of a table, ids as strings."""
+        return read_parts(self.path / folder, range(part, part + 1), columns)
 
     def _rows(
         self, folder: str, columns: tuple[schema.Column, ...], every_frames: int = 1
@@ -277,7 +278,7 @@ class Run:
         index = {name: number for number, name in enumerate(self.ids)}
         # A run stopped while it wrote a frame may have rows of it that do not count.
         frames = range(0, self.frame_count, every_frames)
-        return read_parts(self.path / folder, self.parts, columns, index, frames)
+        return read_parts(self.path / folder, range(self.parts), columns, index, frames)
 
     def _lines(self, name: str) -> list[Any]:
         path = self.path / name
@@ -320,7 +321,7 @@ def read_run(path: Path) -> Run:
     named, finished, frames = header["predictors"], header["finished"], header["frames"]
     parts = part_count(path / schema.FRAMES_FOLDER)
     columns = (schema.Column("frame", "int32"),)
-    frame_count = len(read_parts(path / schema.FRAMES_FOLDER, parts, columns)["frame"])
+    frame_count = len(read_parts(path / schema.FRAMES_FOLDER, range(parts), columns)["frame"])
     if finished and frame_count != frames:
         raise InputError(
             f"{path}: expected {frames} frames, found {frame_count}; a part was lost, "
@@ -356,6 +357,19 @@ def _read_as(kind: type, line: Mapping[str, Any]) -> Any:
         if field.type in ("float", float) and values[field.name] is None:
             values[field.name] = math.nan
     return kind(**values)
+
+
+def _scene_columns(rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Rows of `tracks/` as arrays of a scene."""
+    return {
+        "xy_m": np.stack([rows["x_m"], rows["y_m"]], axis=1),
+        "yaw_rad": rows["yaw_rad"],
+        "speed_mps": rows["speed_mps"],
+        "size_m": np.stack([rows["length_m"], rows["width_m"]], axis=1),
+        "kind": rows["kind"].astype(np.int64),
+        "colour": np.stack([rows["red"], rows["green"], rows["blue"]], axis=1).astype(np.int64),
+        "blinker": rows["blinker"].astype(np.int64),
+    }
 
 
 def _truth(routes: tuple[Route | None, ...], events: list[Event]) -> Truth:

@@ -16,6 +16,10 @@ from hatn_sim.errors import InputError
 ROAD_FILE: Final = "road.json.gz"
 """Its name in the folder of a run."""
 FORMAT: Final = 1
+MAX_RATIO: Final = 100
+"""Expanded over compressed bytes. Lanes compress 3 to 10 times, a bomb 1,000 times."""
+RATIO_FROM_BYTES: Final = 16 << 20
+"""Below this many expanded bytes any ratio is harmless."""
 
 
 def write_road(path: Path, lanes: Iterable[Lane]) -> None:
@@ -40,7 +44,7 @@ def read_road(path: Path) -> list[Lane]:
             "make the run again with `hatn-sim run`"
         )
     try:
-        content = json.loads(gzip.decompress(path.read_bytes()))
+        content = json.loads(_expanded(path))
         found = content["format"]
         lanes = [_from_json(lane) for lane in content["lanes"]] if found == FORMAT else []
     except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
@@ -54,6 +58,18 @@ def read_road(path: Path) -> list[Lane]:
             "version of hatn-sim"
         )
     return lanes
+
+
+def _expanded(path: Path) -> bytes:
+    limit = max(MAX_RATIO * path.stat().st_size, RATIO_FROM_BYTES)
+    with gzip.open(path) as stream:
+        text = stream.read(limit + 1)
+    if len(text) > limit:
+        raise InputError(
+            f"{path}: expected the lanes of a run, found gzip that expands more than {MAX_RATIO} "
+            "times; make the run again"
+        )
+    return text
 
 
 def _to_json(lane: Lane) -> dict[str, Any]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Final
 
 from hatn_sim.datatypes import Predictor
 from hatn_sim.errors import InputError, nearest
+from hatn_sim.plugins import make_from_module
 from hatn_sim.resources import weights_dir
 
 
@@ -38,13 +37,13 @@ PREDICTORS: Final[dict[str, Callable[[Path | None], Predictor]]] = {
 }
 READS_WEIGHTS: Final = frozenset({"hatn"})
 """Those that `weights` are for; anybody's own are made without arguments."""
+NEEDED: Final = ("name", "init", "observe", "predict")
 
 
 def load_predictor(name: str, weights: Path | None = None) -> Predictor:
     """The predictor of that name, or an instance of `module:Class`.
 
-    A module is looked for in the working directory first, as `python -m` does. InputError where
-    there is none, or where importing or making it fails, with what was raised.
+    Raises InputError where there is none, or where importing or making it fails.
     """
     if name in PREDICTORS:
         return PREDICTORS[name](weights)
@@ -53,24 +52,5 @@ def load_predictor(name: str, weights: Path | None = None) -> Predictor:
             f"unknown predictor {name!r}{nearest(name, PREDICTORS)} "
             "(your own: --predictor module:Class)"
         )
-    module_name, _, class_name = name.partition(":")
-    try:
-        _look_here()
-        made: Predictor = getattr(import_module(module_name), class_name)()
-    except Exception as error:  # somebody else's code may raise anything
-        said = " ".join(f"{error} ({type(error).__name__})".split())
-        raise InputError(
-            f"predictor {name!r}: {said}; expected module:Class, importable from here, "
-            "that can be made without arguments"
-        ) from error
-    for needed in ("name", "init", "observe", "predict"):
-        if not hasattr(made, needed):
-            raise InputError(f"predictor {name!r}: has no {needed!r}, see datatypes.Predictor")
+    made: Predictor = make_from_module("predictor", name, NEEDED)
     return made
-
-
-def _look_here() -> None:
-    """Let imports find files in the working directory, which a console script leaves out."""
-    here = str(Path.cwd())
-    if "" not in sys.path and here not in sys.path:
-        sys.path.insert(0, here)

@@ -10,16 +10,23 @@ import numpy as np
 
 from hatn_sim.datatypes import DT_S, Command, Frame, Lane, Route, Scene, Truth
 from hatn_sim.errors import InputError, SimulatorError
-from hatn_sim.simulators.sumo_config import start_options
+from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
 from hatn_sim.simulators.sumo_lanes import lanes_of
-from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
-from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError
+from hatn_sim.simulators.sumo_messages import (
+    AskFoes,
+    AskLaneFoes,
+    Failed,
+    JunctionFoes,
+    LaneFoes,
+    RawFrame,
+    Refused,
+    Started,
+)
+from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
     from hatn_sim.road import Road
-
-MAX_SEED = 2**31 - 1
 
 
 class SumoSimulator:
@@ -98,7 +105,7 @@ class SumoSimulator:
         self._worker = SumoWorker()
         answer = self._ask((*self._options, "--seed", str(seed)))
         if isinstance(answer, Refused):
-            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
+            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
             self.close()
             raise InputError(f"{self.scenario.config_path}: SUMO refuses it: {reason}")
         assert isinstance(answer, Started)
@@ -112,14 +119,28 @@ class SumoSimulator:
 
         Raises SimulatorError where SUMO fails or dies; the simulator is closed then.
         """
-        if self._worker is None:
-            raise SimulatorError("SUMO is not running: call reset(seed) first")
-        answer = self._ask([(command.ego_id, command.acceleration_mps2) for command in commands])
-        if isinstance(answer, Failed):
-            reason = self._worker.complaint() or f"Error: {_one_line(answer.reason)}"
-            raise self._stopped(reason)
+        wanted = [(command.ego_id, command.acceleration_mps2) for command in commands]
+        answer = self._inquire(wanted)
         assert isinstance(answer, RawFrame)
         return self._frame(answer)
+
+    def junction_foes(self, reach_m: float) -> JunctionFoes:
+        """SUMO's list of conflicts within `reach_m` ahead of every vehicle of the newest frame.
+
+        An oracle for tests of ours, seen by no predictor. Raises as `step` does.
+        """
+        answer = self._inquire(AskFoes(reach_m))
+        assert isinstance(answer, JunctionFoes)
+        return answer
+
+    def lane_foes(self) -> LaneFoes:
+        """What SUMO's junctions hold against each other, whoever is there.
+
+        Raises as `step` does.
+        """
+        answer = self._inquire(AskLaneFoes())
+        assert isinstance(answer, LaneFoes)
+        return answer
 
     def close(self) -> None:
         """Ends SUMO and its process."""
@@ -132,6 +153,16 @@ class SumoSimulator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _inquire(self, message: object) -> object:
+        """The answer to a question after the start."""
+        if self._worker is None:
+            raise SimulatorError("SUMO is not running: call reset(seed) first")
+        answer = self._ask(message)
+        if isinstance(answer, Failed):
+            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
+            raise self._stopped(reason)
+        return answer
 
     def _ask(self, message: object) -> object:
         assert self._worker is not None
@@ -188,7 +219,3 @@ class SumoSimulator:
             teleported=raw.teleported,
         )
         return Frame(scene=scene, truth=truth, done=raw.done)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

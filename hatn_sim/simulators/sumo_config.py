@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hatn_sim.datatypes import DT_S
 from hatn_sim.errors import InputError
+from hatn_sim.safe_xml import parse_xml
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
@@ -24,6 +24,7 @@ SYNONYMS = {
 """Other names SUMO knows for the options read here."""
 FILE_OPTIONS = ("net-file", "route-files", "additional-files")
 SUMO_DEFAULT_STEP_S = 1.0
+MAX_SEED = 2**31 - 1
 COLLISIONS_SEEN = {
     "collision.action": "warn",
     "collision.check-junctions": "true",
@@ -34,20 +35,7 @@ COLLISIONS_SEEN = {
 
 def read_sumocfg(path: Path) -> dict[str, str]:
     """Option -> value of a configuration. Raises InputError if it is missing or malformed."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read: {error.strerror}; give the path of a .sumocfg"
-        ) from error
-    except ElementTree.ParseError as error:
-        raise InputError(
-            f"{path}:{error.position[0]}: not well-formed XML: {error}; correct the file"
-        ) from error
-    except (ValueError, LookupError) as error:
-        raise InputError(
-            f"{path}: the encoding that it declares cannot be read: {error}; save it as UTF-8"
-        ) from error
+    root = parse_xml(path)
     options: dict[str, str] = {}
     for element in root.iter():
         value = element.get("value", element.get("v"))

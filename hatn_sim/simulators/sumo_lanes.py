@@ -66,6 +66,15 @@ def is_connection(lane_id: str) -> bool:
     return lane_id.startswith(":")
 
 
+def junction_of(lane_id: str) -> str:
+    """The junction that a lane inside it is part of.
+
+    >>> junction_of(":north_3_0")
+    'north'
+    """
+    return lane_id[1:].rpartition("_")[0].rpartition("_")[0]
+
+
 def edge_of(lane_id: str) -> str:
     """The edge that a lane is part of."""
     return lane_id.rpartition("_")[0]

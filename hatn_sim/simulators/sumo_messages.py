@@ -1,10 +1,10 @@
-"""What a SUMO worker says to its parent. Plain records that pickle well."""
+"""What a SUMO worker and its parent say to each other. Plain records that pickle well."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hatn_sim.datatypes import BoolArray, FloatArray, Route
+from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Route
 from hatn_sim.simulators.sumo_lanes import LaneTable
 
 
@@ -45,3 +45,77 @@ class Failed:
     """SUMO gave up in the middle of a run."""
 
     reason: str
+
+
+@dataclass(frozen=True)
+class AskFoes:
+    """Asks who conflicts with whom at the junctions ahead, without letting time pass."""
+
+    reach_m: float  # how far ahead of every vehicle, along the lanes
+
+
+@dataclass(frozen=True)
+class AskLaneFoes:
+    """Asks what SUMO's junctions hold against each other, whoever is there."""
+
+
+@dataclass(frozen=True, eq=False)
+class JunctionFoes:
+    """SUMO's own list of conflicts, K of them, and the junctions ahead of the vehicles, A of them.
+
+    Vehicles are rows of the frame before; lanes are rows of the lane table, -1 where it has none.
+    Distances are along the lanes, from the front bumper, negative once passed.
+    """
+
+    vehicle: IntArray  # [K, 2] the asked one, its foe
+    lane: IntArray  # [K, 2] the lanes inside the junction on which they meet
+    enter_m: FloatArray  # [K, 2] to the begin of the area of conflict
+    leave_m: FloatArray  # [K, 2] to its end
+    approach_vehicle: IntArray  # [A]
+    approach_lane: IntArray  # [A] the first lane of the vehicle's way through the junction
+    approach_m: FloatArray  # [A] to the begin of that lane
+
+
+@dataclass(frozen=True, eq=False)
+class LaneFoes:
+    """Rows of the lane table."""
+
+    inside: IntArray  # [F, 2] a lane inside a junction, its foe
+    approaching: IntArray  # [G, 3] a lane, the one it leads to, a lane whose traffic is its foe
+    mute: IntArray  # lanes in junctions without logic, of which SUMO lists nothing
+
+
+@dataclass(frozen=True)
+class Newcomer:
+    """A recorded vehicle that appears."""
+
+    id: str
+    type: str  # of those in the types file
+    edges: Route  # that it will drive; empty: not known
+    length_m: float
+    width_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayStep:
+    """What is to happen in one step of a replay."""
+
+    newcomers: tuple[Newcomer, ...]
+    leavers: tuple[str, ...]
+    placed: tuple[str, ...]  # [M] vehicles moved to where they were recorded at the end of the step
+    poses: FloatArray  # [M, 4] front x, y, compass angle in degrees, speed in m/s
+    on_lane: BoolArray  # [M] False: placed beside the road, where no driver sees it
+    released: tuple[tuple[str, Route], ...]  # from now on SUMO's, with the edges to drive
+    driven: tuple[str, ...]  # all that are SUMO's now, those included
+    commands: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayFrame:
+    """What SUMO made of a `ReplayStep`."""
+
+    driven: RawFrame  # of the vehicles that are SUMO's
+    placed: FloatArray  # [M, 3] front x, y, speed of the vehicles placed, in their order
+    lanes: tuple[str, ...]  # [M] "" where on none
+    lost: tuple[str, ...]  # placed vehicles that SUMO has taken off the road
+    refused: tuple[str, ...]  # vehicles released for which SUMO has no way

@@ -27,12 +27,13 @@ class SumoWorker:
     So it also leaves when this process dies in whatever way.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, module: str = "hatn_sim.simulators.sumo_worker") -> None:
+        """`module` is the program that the process runs."""
         self._words = tempfile.TemporaryFile()  # noqa: SIM115 - close() closes it
         # The worker finds the modules that this process finds, and nothing in the current folder.
         modules = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "hatn_sim.simulators.sumo_worker"],
+            [sys.executable, "-P", "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
@@ -86,3 +87,8 @@ class SumoWorker:
         # The position is shared with the worker: read only when it has no more to say.
         self._words.seek(0)
         return self._words.read().decode("utf-8", "replace")
+
+
+def one_line(text: str) -> str:
+    """A text of several lines in one."""
+    return " ".join(text.split())

@@ -4,6 +4,7 @@ It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_pro
 over its standard input and output. The first message it reads are SUMO's options; it answers with
 `Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
 commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
+`AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
 """
 
@@ -14,13 +15,14 @@ import pickle
 import signal
 import sys
 import time
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import libsumo
 import numpy as np
 
 from hatn_sim.datatypes import Kind
+from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lanes import (
     CLOSED_SIGNALS,
     KIND_OF_CLASS,
@@ -28,7 +30,16 @@ from hatn_sim.simulators.sumo_lanes import (
     Link,
     kinds_of,
 )
-from hatn_sim.simulators.sumo_messages import Failed, RawFrame, Refused, Started
+from hatn_sim.simulators.sumo_messages import (
+    AskFoes,
+    AskLaneFoes,
+    Failed,
+    JunctionFoes,
+    LaneFoes,
+    RawFrame,
+    Refused,
+    Started,
+)
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
 
 OBEY_SPEED_MODE = 32
@@ -111,6 +122,7 @@ class Simulation:
         self._commanded: set[str] = set()
         self._speeds_mps: dict[str, float] = {}
         self._sumo_s = 0.0
+        self._foes = FoeReader(libsumo, self.lane_table)
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -136,14 +148,25 @@ class Simulation:
             libsumo.vehicle.setSpeed(vehicle, max(speed_mps, 0.0))
         self._commanded = set(accelerations)
 
-    def observe(self) -> RawFrame:
-        """What is on the road now."""
+    def answer(self, message: object) -> RawFrame | JunctionFoes | LaneFoes:
+        """Who conflicts with whom, if that is asked; else the frame after a step of commands."""
+        match message:
+            case AskFoes(reach_m):
+                return self.junction_foes(reach_m)
+            case AskLaneFoes():
+                return self.lane_foes()
+            case _:
+                self.step(message)  # type: ignore[arg-type]  # a list of commands
+                return self.observe()
+
+    def observe(self, names: Sequence[str] | None = None) -> RawFrame:
+        """What is on the road now: everybody, or the vehicles named."""
         simulation = libsumo.simulation
         arrived = tuple(simulation.getArrivedIDList())
         for vehicle in arrived:
             self._tracker.forget(vehicle)
             self._looks.pop(vehicle, None)
-        ids, rows, routes = self._vehicles()
+        ids, rows, routes = self._vehicles(libsumo.vehicle.getIDList() if names is None else names)
         emergency_braking = self._emergency_braking(ids, rows)
         persons = frozenset(libsumo.person.getIDList()).difference(ids)
         self._add_pedestrians(ids, rows, routes)
@@ -173,6 +196,16 @@ class Simulation:
             sumo_s=self._sumo_s,
         )
 
+    def junction_foes(self, reach_m: float) -> JunctionFoes:
+        """SUMO's list of conflicts within `reach_m` ahead of the vehicles of the newest frame."""
+        vehicle = libsumo.vehicle
+        seen = [name for name in vehicle.getIDList() if vehicle.getPosition(name)[0] >= INVALID_M]
+        return self._foes.junction_foes(seen, reach_m)
+
+    def lane_foes(self) -> LaneFoes:
+        """What SUMO's junctions hold against each other."""
+        return self._foes.lane_foes()
+
     def _emergency_braking(
         self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
     ) -> tuple[str, ...]:
@@ -193,7 +226,9 @@ class Simulation:
             if lost >= libsumo.vehicle.getEmergencyDecel(name) * dt_s - ROUNDING_MPS
         )
 
-    def _vehicles(self) -> tuple[list[str], list[tuple[float, ...]], list[int]]:
+    def _vehicles(
+        self, names: Sequence[str]
+    ) -> tuple[list[str], list[tuple[float, ...]], list[int]]:
         vehicle = libsumo.vehicle
         get_position, get_angle, get_speed = (
             vehicle.getPosition, vehicle.getAngle, vehicle.getSpeed,
@@ -205,7 +240,7 @@ class Simulation:
         ids: list[str] = []
         rows: list[tuple[float, ...]] = []
         routes: list[int] = []
-        for name in vehicle.getIDList():
+        for name in names:
             x_m, y_m = get_position(name)
             if x_m < INVALID_M:
                 continue
@@ -279,7 +314,18 @@ def _gap_to_lane_end_m(vehicle: str) -> float:
     return length_m - position_m
 
 
-def main() -> None:
+class Served(Protocol):
+    """A simulation that a worker process keeps and asks step by step."""
+
+    @property
+    def lane_table(self) -> LaneTable: ...
+
+    def observe(self) -> RawFrame: ...
+
+    def answer(self, message: Any) -> object: ...
+
+
+def serve(start: Callable[[Sequence[str]], Served]) -> None:
     """Serves one simulation over the pipes, until they close."""
     # Ctrl-C reaches the whole process group; whoever runs us decides when to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -288,36 +334,35 @@ def main() -> None:
         silence = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silence, 1)  # SUMO prints there too; only our messages may enter the pipe
         try:
-            _serve(requests, replies)
+            _serve(start, requests, replies)
         except (EOFError, BrokenPipeError):
             return  # nobody is listening any more
 
 
-def _serve(requests: Any, replies: Any) -> None:
+def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any) -> None:
     def reply(message: object) -> None:
         pickle.dump(message, replies, protocol=5)
         replies.flush()
 
     options = pickle.load(requests)
     try:
-        simulation = Simulation(options)
+        simulation = start(options)
     except libsumo.TraCIException as error:
         reply(Refused(str(error)))
         return
     try:
         reply(Started(simulation.lane_table, simulation.observe()))
         while True:
-            commands = pickle.load(requests)
+            message = pickle.load(requests)
             try:
-                simulation.step(commands)
-                frame = simulation.observe()
+                answer = simulation.answer(message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                 reply(Failed(str(error)))
                 return
-            reply(frame)
+            reply(answer)
     finally:
         libsumo.close()  # finishes the output files that a user's configuration asks for
 
 
 if __name__ == "__main__":
-    main()
+    serve(Simulation)

@@ -1,0 +1,98 @@
+"""Write the tracks of a run in a format that other programs read, and hatn-sim too.
+
+interaction: vehicle and pedestrian tracks as CSV files of the INTERACTION data set, and the road as
+a Lanelet2 map. fcd: SUMO's floating car data, and the road as hatn-sim keeps it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hatn_sim.log import Run
+
+EXAMPLES = """examples:
+  hatn-sim export runs/intersection5-1 --format fcd
+  hatn-sim export runs/intersection5-1 --format interaction --out tracks/intersection5
+"""
+FORMATS = ("interaction", "fcd")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hatn-sim export`."""
+    parser.add_argument("run", metavar="RUN", type=Path, help="the folder of a run")
+    parser.add_argument("--format", choices=FORMATS, required=True, help="what to write")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="where to; must not exist (default: RUN/FORMAT)",
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Export, and say how to read it."""
+    from hatn_sim.errors import InputError
+    from hatn_sim.log import read_run
+
+    run = read_run(arguments.run)
+    out: Path = arguments.out or arguments.run / arguments.format
+    if not run.frame_count:
+        raise InputError(f"{arguments.run}: expected frames, found a run without any")
+    if not run.finished:
+        print(
+            f"hatn-sim: {arguments.run} is of an unfinished run: its {run.frame_count} frames "
+            "are written",
+            file=sys.stderr,
+        )
+    _make_folder(out)
+    files = _export(run, arguments.format, out)
+    tracks, road = files[0], files[-1]
+    command = shlex.join(["hatn-sim", "run", "--tracks", str(tracks), "--map", str(road)])
+    if arguments.json:
+        print(json.dumps({"files": [str(path) for path in files], "command": command}, indent=2))
+        return 0
+    for path in files:
+        print(path)
+    print(f"to read them: {command}")
+    return 0
+
+
+def _export(run: Run, wanted: str, out: Path) -> tuple[Path, ...]:
+    """The files written: the tracks first, the road last."""
+    from hatn_sim.errors import HatnSimError
+
+    try:
+        if wanted == "fcd":
+            from hatn_sim.recordings.fcd_export import export_fcd
+
+            return export_fcd(run, out)
+        from hatn_sim.recordings.interaction_export import export_interaction
+
+        return export_interaction(run, out)
+    except OSError as error:
+        raise HatnSimError(
+            f"{out}: cannot be written on ({error.strerror or error}); make room or choose "
+            "another --out"
+        ) from error
+
+
+def _make_folder(out: Path) -> None:
+    from hatn_sim.errors import InputError
+
+    try:
+        out.mkdir(parents=True)
+    except FileExistsError:
+        raise InputError(
+            f"{out}: exists already; expected a new folder: choose another --out"
+        ) from None
+    except OSError as error:
+        raise InputError(
+            f"{out}: the folder cannot be made ({error.strerror}); choose another --out"
+        ) from error

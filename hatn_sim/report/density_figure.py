@@ -1,0 +1,131 @@
+"""The paper's figure of interacting car density: four panels, a row for each scene (PNG, PDF).
+
+Imports matplotlib, so import this module only where something is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.score.density import CRITERIA, Density, counts_of, histogram, summarise
+
+TITLES: Final = {
+    "all": "(a) all vehicles in the scene",
+    "30m": "(b) within 30 m",
+    "10m": "(c) within 10 m",
+    "conflict": "(d) conflicting lines",
+}
+COLOURS: Final = {"all": "#8a8f98", "30m": "#56b4e9", "10m": "#0072b2", "conflict": "#d55e00"}
+"""Grey and three of Okabe and Ito's colours, told apart by the colour-blind and in grey."""
+MAX_BARS: Final = 40
+WIDTH_IN: Final = 11.0
+ROW_IN: Final = 1.95
+LABEL_PT: Final = 58.0
+"""From the axis to the name of the scene."""
+MAX_LABEL: Final = 22
+EDGES_IN: Final = 1.15
+"""Title and axis labels, above and below the rows."""
+
+
+def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> None:
+    """Draw the distributions of the scenes into files, in the format that their suffix names.
+
+    The first panel has an axis of its own, the other three of a row share theirs.
+    """
+    rows = len(densities)
+    figure = Figure(figsize=(WIDTH_IN, EDGES_IN + ROW_IN * rows), dpi=160, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr]
+    grid = figure.subplots(rows, len(CRITERIA), squeeze=False)
+    for row, (label, density) in zip(grid, densities.items(), strict=True):
+        counts = {criterion: counts_of(density, criterion) for criterion in CRITERIA}
+        shared = max((int(counts[c].max(initial=0)) for c in CRITERIA[1:]), default=0)
+        for axes, criterion in zip(row, CRITERIA, strict=True):
+            last = int(counts["all"].max(initial=0)) if criterion == "all" else shared
+            _panel(axes, density, criterion, last)
+        row[0].set_ylabel("share of samples", color=INK)
+        row[0].annotate(
+            label if len(label) <= MAX_LABEL else f"…{label[1 - MAX_LABEL :]}",
+            (0.0, 0.5),
+            (-LABEL_PT, 0.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            rotation=90,
+            ha="center",
+            va="center",
+            weight="bold",
+            fontsize=8.5,
+            color=INK,
+        )
+    figure.align_ylabels(grid[:, 0])
+    for axes, criterion in zip(grid[0], CRITERIA, strict=True):
+        axes.set_title(TITLES[criterion], loc="left", fontsize=10.5, color=INK)
+    for axes in grid[-1]:
+        axes.set_xlabel("interacting vehicles", color=INK)
+    figure.suptitle(
+        "Vehicles that interact with an ego, chosen by four criteria",
+        x=0.01,
+        ha="left",
+        fontsize=13,
+        color=INK,
+    )
+    for path in paths:
+        # Without the versions and dates that would change the bytes.
+        stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
+        figure.savefig(path, metadata=stamps)
+
+
+def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
+    """The histogram of one criterion, with bars for 0 to `last` vehicles."""
+    count = counts_of(density, criterion)
+    width = bar_width(last)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(colors=SOFT_INK, labelsize=8.5)
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    axes.set_xlim(-0.75, max(last, 1) // width * width + width - 0.25)
+    if len(count):
+        first, samples = histogram(count, width)
+        share = samples / len(count)
+        axes.bar(first - 0.5, share, 0.86 * width, align="edge", color=COLOURS[criterion])
+        top = 1.45 * float(share.max())  # leaves room for the caption
+        axes.set_yticks([at for at in MaxNLocator(4).tick_values(0.0, top) if at <= min(top, 1.0)])
+        axes.set_ylim(0.0, top)
+    axes.text(
+        0.98,
+        0.97,
+        _caption(density, criterion, width),
+        transform=axes.transAxes,
+        ha="right",
+        va="top",
+        fontsize=8.5,
+        color=INK,
+    )
+
+
+def bar_width(last: int) -> int:
+    """Counts that one bar stands for: 1, 2, 5, 10 ..., so that there are at most `MAX_BARS`."""
+    widths = (step * 10**power for power in range(9) for step in (1, 2, 5))
+    return next(width for width in widths if last // width < MAX_BARS)
+
+
+def _caption(density: Density, criterion: str, width: int) -> str:
+    summary = summarise(density, criterion)
+    if summary.mean is None:
+        return "no samples"
+    notes: list[str] = []
+    # The same in every panel, but for vehicles without a reference line.
+    if criterion == "all" or summary.n != len(density.run):
+        notes.append(f"n = {summary.n:,}")
+    if width > 1:
+        notes.append(f"{width} counts a bar")
+    return f"mean {summary.mean:.1f}, 90 % ≤ {summary.ninetieth:g}\n{', '.join(notes)}"
