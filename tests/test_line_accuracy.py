@@ -203,3 +203,8 @@ def test_the_command_prints_tables(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "tjunction: inferred lines that are right" in printed
     assert "inside a junction" in printed
     assert "metres to the junction" in printed
+
+
+def test_recorded_tracks_are_left_out(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="recorded_sample: recorded tracks know no routes"):
+        evaluate_lines.main(arguments(tmp_path, scenes=("recorded_sample",)))

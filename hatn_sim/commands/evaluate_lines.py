@@ -38,7 +38,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.report.table import scores_json, write_scores
     from hatn_sim.score.line_accuracy import line_scores
 
-    scenarios = _scenarios(arguments.scenes)
+    scenarios = _scenarios(arguments.scenes, arguments.quiet)
     out: Path = arguments.out or _free_folder()
     _check_out(out)
     samples = {label: _measure(arguments, label, one) for label, one in scenarios.items()}
@@ -55,17 +55,25 @@ def main(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _scenarios(words: Sequence[str]) -> dict[str, Scenario]:
-    """The scenes by the name they go by: where two have the same, by the words that name them."""
+def _scenarios(words: Sequence[str], quiet: bool) -> dict[str, Scenario]:
+    """The scenes by the name they go by: where two have the same, by the words that name them.
+
+    Those of recorded tracks are left out: they know no routes.
+    """
     from hatn_sim.config import load_scenario
     from hatn_sim.errors import InputError
 
     named = {word: load_scenario(word) for word in words}
-    for word, scenario in named.items():
-        if scenario.recorded is not None:
-            raise InputError(
-                f"{word}: recorded tracks know no routes to hold lines against; leave it out"
-            )
+    recorded = [word for word, scenario in named.items() if scenario.recorded is not None]
+    for word in recorded:
+        del named[word]
+    if not named:
+        raise InputError(
+            f"{', '.join(recorded)}: recorded tracks know no routes to hold lines against; "
+            "name other --scenes"
+        )
+    if recorded and not quiet:
+        print(f"hatn-sim: left out, without routes: {', '.join(recorded)}", file=sys.stderr)
     uses = Counter(scenario.name for scenario in named.values())
     return {
         scenario.name if uses[scenario.name] == 1 else word: scenario
