@@ -65,6 +65,7 @@ class Road:
     | `curvature_per_m` | [V] | signed, left positive |
     | `gate_s_m`, `gate_type`, `gate_signal` | [L, G] | ends of lanes with a stop or give-way line |
     | `fork_s_m`, `fork_end_s_m`, `fork_turn` | [L, G] | connections through junctions |
+    | `fork_lane` | [L, G] | numbers of their lanes, in the order of `lanes` |
     """
 
     def __init__(self, lanes: Iterable[Lane]) -> None:
@@ -85,6 +86,7 @@ class Road:
         self.fork_s_m: FloatArray = np.zeros((0, MAX_FORKS))
         self.fork_end_s_m: FloatArray = np.zeros((0, MAX_FORKS))
         self.fork_turn: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
+        self.fork_lane: IntArray = np.zeros((0, MAX_FORKS), dtype=np.int64)
         self.conflict_table = ConflictTable(self.conflicts, self._may_meet)
         self._clock = 0
         self._touched: IntArray = np.zeros(0, dtype=np.int64)  # [L] when a line was last in use
@@ -253,6 +255,7 @@ class Road:
                 self.fork_s_m[index, fork] = start_s_m[position]
                 self.fork_end_s_m[index, fork] = end_s_m
                 self.fork_turn[index, fork] = lane.turn
+                self.fork_lane[index, fork] = self._lane_numbers[lane.id]
                 fork += 1
 
     def _grow(self, lines: int, vertices: int) -> None:
@@ -427,6 +430,7 @@ _NO_GATES: Final = {
     "fork_s_m": np.inf,
     "fork_end_s_m": np.inf,
     "fork_turn": 0,
+    "fork_lane": 0,
 }
 """Per-line arrays [L, MAX_FORKS], and what they hold where there is nothing."""
 _PER_LINE: Final = ("offset", "count", "_touched", *_NO_GATES)
