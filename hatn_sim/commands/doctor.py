@@ -38,6 +38,8 @@ class Check:
 
 _CORE = (
     "libsumo",
+    "highway-env",
+    "gymnasium",
     "numpy",
     "scipy",
     "torch",
@@ -50,7 +52,6 @@ _CORE = (
 )
 _EXTRAS = {
     "eclipse-sumo": ("gui", "sumo-gui to watch, netconvert to build nets"),
-    "gymnasium": ("rl", "environments for planners"),
     "stable-baselines3": ("rl", "reinforcement learning"),
     "rerun-sdk": ("viz", "the rerun viewer"),
     "pytest": ("test", "the tests"),
