@@ -186,8 +186,7 @@ def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Ha
             road, tracks, i, float(scene.size_m[i, 0]), np.array(found, dtype=np.int64)
         )
         nearest = np.sort(np.argsort(cost, kind="stable")[:MAX_CANDIDATES])
-        usual = np.argsort(_unusual_nats(road, habits, kept[nearest]), kind="stable")
-        order = nearest[usual]
+        order = nearest[_by_habit(road, habits, kept[nearest])]
         count = len(order)
         fields["line"][i, :count], fields["s_m"][i, :count] = kept[order], s[order]
         fields["cost_m"][i, :count], fields["now_m"][i, :count] = cost[order], now[order]
@@ -214,11 +213,17 @@ def _undecided(road: Road, line: int, s_m: float) -> Route:
     return route[:end]
 
 
-def _unusual_nats(road: Road, habits: Habits, line: IntArray) -> FloatArray:
-    """-log likelihood [Q] of all the connections of lines [Q]."""
-    nats = share_nats(habits, road.fork_lane[line])
+def _by_habit(road: Road, habits: Habits, line: IntArray) -> IntArray:
+    """Lines [Q] in the order in which drivers would take them, fork by fork.
+
+    At each fork the more usual connection comes first, and of equally usual ones the straight one:
+    who leaves a roundabout at some exit passes all the exits before it.
+    """
     known = np.isfinite(road.fork_s_m[line])
-    return np.round(np.where(known, nats, 0.0).sum(axis=1), 6)
+    nats = np.round(np.where(known, share_nats(habits, road.fork_lane[line]), 0.0), 6)
+    turns = known & (road.fork_turn[line] != 0)
+    keys = np.stack((turns.astype(np.float64), nats), axis=2)[:, ::-1]  # the last key counts first
+    return np.lexsort(keys.reshape(len(line), -1).T)
 
 
 def _same_course(road: Road, own: int, candidates: IntArray) -> int:
