@@ -31,6 +31,8 @@ RECENT_M: Final = 0.5
 """Evidence fades by 1/e over this distance driven."""
 FIRST_M: Final = 0.01
 """Weight of the first frame of a vehicle: all there is of one that never moved."""
+TURN_NATS: Final = 0.01
+"""Where nothing else tells lines apart, vehicles drive straight on."""
 OFF_M: Final = 1.7
 """Half a lane off: another lane may be the nearer one by now (a change of lanes)."""
 REST_FRAMES: Final = 5
@@ -215,8 +217,8 @@ def _undecided(road: Road, line: int, s_m: float) -> Route:
 
 
 def _unusual_nats(road: Road, habits: Habits, line: IntArray) -> FloatArray:
-    """-log likelihood [Q] of all the connections of lines [Q]."""
-    nats = share_nats(habits, road.fork_lane[line])
+    """-log likelihood [Q] of all the connections of lines [Q]; among equals, straight on first."""
+    nats = share_nats(habits, road.fork_lane[line]) + TURN_NATS * np.abs(road.fork_turn[line])
     known = np.isfinite(road.fork_s_m[line])
     return np.round(np.where(known, nats, 0.0).sum(axis=1), 6)
 
