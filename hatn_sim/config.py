@@ -29,12 +29,22 @@ class HighwaySource:
 
 
 @dataclass(frozen=True)
+class ReplaySource:
+    """A recording is replayed inside SUMO, where vehicles can be taken over."""
+
+    net_path: Path
+    take_over: str = ""  # ID[@S],ID[@S] ...
+    react_from_s: float | None = None  # from this time on everybody drives
+
+
+@dataclass(frozen=True)
 class RecordedSource:
     """Recorded tracks and the map that they were driven on."""
 
     tracks: tuple[Path, ...]  # files, or the folder of a run
     map_path: Path | None  # None: the tracks bring their own (the folder of a run)
     recordings: tuple[str, ...] = ()  # those wanted of the files' recordings; empty: all
+    replay: ReplaySource | None = None  # None: nothing but the recording happens
 
 
 @dataclass(frozen=True)

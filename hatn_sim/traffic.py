@@ -19,7 +19,13 @@ def open_traffic(scenario: Scenario) -> Simulator:
         from hatn_sim.recordings.find import open_recording
         from hatn_sim.simulators.recorded import RecordedSimulator
 
-        return RecordedSimulator(open_recording(scenario.name, scenario.recorded))
+        recording = open_recording(scenario.name, scenario.recorded)
+        if scenario.recorded.replay is None:
+            return RecordedSimulator(recording)
+        from hatn_sim.simulators.sumo_replay import open_replay
+
+        replay = scenario.recorded.replay
+        return open_replay(recording, replay.net_path, replay.take_over, replay.react_from_s)
     from hatn_sim.simulators.sumo import SumoSimulator
 
     return SumoSimulator(scenario)

@@ -146,7 +146,7 @@ def test_names_are_unique_and_stay(intersection: list[Frame]) -> None:
         assert departed == ids - last and not departed & seen
         assert last - ids == set(frame.truth.arrived) | set(frame.truth.teleported)
         seen, last = seen | ids, ids
-    assert "ego" in seen and len(seen) > 10
+    assert "ego" in seen and seen > set(intersection[0].scene.ids)  # others came in
 
 
 def test_what_a_camera_sees_of_the_vehicles(intersection: list[Frame]) -> None:

@@ -191,9 +191,9 @@ def test_what_is_asked_wrongly_is_said_in_one_line(
     assert "ends in .net.xml" in said(str(road), "--out", str(tmp_path / "x.xml"))
     assert "cannot be written" in said(str(road), "--out", str(road / "x.net.xml"))
     write_road(road, [])
-    assert "no lane for vehicles" in said(str(road), "--out", str(tmp_path / "x.net.xml"))
+    assert "found none" in said(str(road), "--out", str(tmp_path / "x.net.xml"))
     monkeypatch.setattr(sumo_net_export.shutil, "which", lambda *_: None)
     write_road(road, crossing_lanes())
     assert "pip install 'hatn-sim[gui]'" in said(str(road), "--out", str(tmp_path / "x.net.xml"))
-    with pytest.raises(InputError, match="netconvert"):
-        write_net(crossing_lanes(), tmp_path / "x.net.xml")
+    with pytest.raises(InputError, match="no lane for vehicles"):
+        write_net([], tmp_path / "x.net.xml")

@@ -33,8 +33,8 @@ for name in resources.find_scenarios():
         for risk in scenario.risks:
             load_scenario(name, density, risk)
     simulator = open_traffic(scenario)
-    simulator.reset(1)
-    scenes[name] = simulator.step().scene.time_s
+    begin_s = simulator.reset(1).scene.time_s
+    scenes[name] = round(simulator.step().scene.time_s - begin_s, 6)
     simulator.close()
 weights = resources.weights_dir()
 print(json.dumps({

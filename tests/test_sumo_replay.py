@@ -244,9 +244,39 @@ def test_a_parked_vehicle_and_pedestrians_are_counted_and_in_nobodys_way() -> No
     assert shown[-1].scene.ids == frames[-1].scene.ids
     fidelity = replay.fidelity
     assert (fidelity.outside, fidelity.not_placed, fidelity.lost) == (50, 50, 0)
+    assert "1 of" in replay.notices[0] and "near no lane" in replay.notices[0]
     assert fidelity.position_m_max is not None and fidelity.position_m_max < 1e-6
     with pytest.raises(InputError, match="'parked' cannot be taken over: the net has no way"):
         play(SumoReplay(replace(recording, played=frames), net_path, {"parked": None}))
+
+
+def test_recordings_one_after_the_other_with_nobody_between() -> None:
+    recording, net_path = recorded("tjunction")
+    part = recording.played[:40]
+    nobody = np.zeros(len(part[-1].scene.ids), dtype=np.bool_)
+    scene = part[-1].scene
+    empty = replace(
+        part[-1],
+        scene=Scene(
+            scene.time_s,
+            (),
+            *(getattr(scene, name)[nobody] for name in ("xy_m", "yaw_rad", "speed_mps", "size_m")),
+            *(getattr(scene, name)[nobody] for name in ("kind", "colour", "blinker")),
+            signal_closed=scene.signal_closed,
+        ),
+        truth=replace(part[-1].truth, routes=()),
+    )
+    again = [
+        replace(f, scene=replace(f.scene, ids=tuple(f"1:{name}" for name in f.scene.ids)))
+        for f in part
+    ]
+    frames = [empty, *part, *[empty] * 11, *again]
+    replay = SumoReplay(replace(recording, played=frames), net_path)
+    shown = play(replay)
+    assert [frame.scene.ids for frame in shown] == [frame.scene.ids for frame in frames]
+    fidelity = replay.fidelity
+    assert fidelity.n == 2 * sum(len(frame.scene.ids) for frame in part) and fidelity.lost == 0
+    assert fidelity.position_m_max is not None and fidelity.position_m_max < 1e-9
 
 
 def test_what_is_asked_wrongly_is_said_in_one_line(tmp_path: Path) -> None:

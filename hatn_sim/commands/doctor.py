@@ -1,7 +1,8 @@
 """Say what is installed, what is missing and how to get it.
 
 The exit code is 1 if something is missing that hatn-sim does not work without. With --oracle, hold
-the conflicts of a scene's reference lines against those that SUMO itself sees, once a second.
+the conflicts of a scene's reference lines against those that SUMO itself sees, once a second. With
+--fidelity, say how far the vehicles of a scene of any simulator are from their reference lines.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from hatn_sim.commands.options import seconds, seconds_or_none
 EXAMPLES = """examples:
   hatn-sim doctor
   hatn-sim doctor --oracle intersection5 --duration 600
+  hatn-sim doctor --fidelity highway_roundabout
   hatn-sim doctor --oracle my/town.sumocfg --duration 600 --warm-up 300 --json
 """
 
@@ -36,10 +38,13 @@ class Check:
 
 _CORE = (
     "libsumo",
+    "highway-env",
+    "gymnasium",
     "numpy",
     "scipy",
     "torch",
     "pyarrow",
+    "pyproj",
     "safetensors",
     "matplotlib",
     "rich",
@@ -47,7 +52,6 @@ _CORE = (
 )
 _EXTRAS = {
     "eclipse-sumo": ("gui", "sumo-gui to watch, netconvert to build nets"),
-    "gymnasium": ("rl", "environments for planners"),
     "stable-baselines3": ("rl", "reinforcement learning"),
     "rerun-sdk": ("viz", "the rerun viewer"),
     "pytest": ("test", "the tests"),
@@ -61,25 +65,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--oracle", metavar="SCENE", help="compare with SUMO: a scene's name, or a .sumocfg"
     )
     parser.add_argument(
+        "--fidelity",
+        metavar="SCENE",
+        help="measure how near a scene's vehicles are to the lines drawn for them",
+    )
+    parser.add_argument(
         "--duration",
         type=seconds,
-        default=600.0,
         metavar="S",
-        help="with --oracle: seconds to compare (default: 600)",
+        help="of the comparison (default: 600 of --oracle, 120 of --fidelity)",
     )
     parser.add_argument(
         "--warm-up",
         type=seconds_or_none,
         metavar="S",
-        help="with --oracle: seconds before (default: 60 in a shipped scene, 0 in yours)",
+        help="before it (default: 60 in a shipped scene, 0 in yours and of --fidelity)",
     )
-    parser.add_argument(
-        "--seed", type=int, default=1, help="with --oracle: of the traffic (default: 1)"
-    )
+    parser.add_argument("--seed", type=int, default=1, help="of the traffic (default: 1)")
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Look and tell."""
+    if arguments.fidelity is not None:
+        from hatn_sim.commands import fidelity
+
+        return fidelity.main(arguments)
     if arguments.oracle is not None:
         from hatn_sim.commands import oracle
 

@@ -89,6 +89,56 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_driving(parser: argparse.ArgumentParser) -> None:
+    """`--drive` and `--agent`, and the net that recorded vehicles need to be driven in."""
+    parser.add_argument(
+        "--drive",
+        metavar="ID[@S],ID",
+        help="vehicles that --agent drives; recorded ones are taken over, from S seconds on",
+    )
+    parser.add_argument(
+        "--agent",
+        metavar="NAME",
+        default="sumo_driver",
+        help="sumo_driver (default: the simulator's own driver), constant_speed, or your own as "
+        "module:Class",
+    )
+    parser.add_argument(
+        "--net",
+        type=Path,
+        metavar="FILE",
+        help="replay the tracks inside SUMO, in this net of the same place (see `hatn-sim net`)",
+    )
+    parser.add_argument(
+        "--react-from",
+        type=seconds_or_none,
+        metavar="S",
+        help="with --net: from then on every recorded vehicle is driven by SUMO",
+    )
+
+
+def with_driving(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+    """The scene, replayed inside SUMO if that is asked for. Raises InputError."""
+    from dataclasses import replace
+
+    from hatn_sim.config import ReplaySource
+    from hatn_sim.errors import InputError
+
+    if arguments.net is None:
+        if arguments.react_from is not None:
+            raise InputError(f"--react-from {arguments.react_from:g} goes with --net; add it")
+        if scenario.recorded is not None and arguments.drive is not None:
+            raise InputError(
+                f"--drive {arguments.drive}: recorded vehicles are taken over inside SUMO; add "
+                "--net FILE, a net of the same place (`hatn-sim net MAP` builds one)"
+            )
+        return scenario
+    if scenario.recorded is None:
+        raise InputError(f"--net {arguments.net} is for recorded tracks; leave it out")
+    replay = ReplaySource(arguments.net, arguments.drive or "", arguments.react_from)
+    return replace(scenario, recorded=replace(scenario.recorded, replay=replay))
+
+
 def chosen_scenario(arguments: argparse.Namespace) -> Scenario:
     """The scene that was named, or that of the tracks. Raises InputError."""
     from hatn_sim.config import load_scenario, load_tracks, recording_names
@@ -124,6 +174,8 @@ def chosen_seed(arguments: argparse.Namespace, scenario: Scenario) -> int | None
     from hatn_sim.errors import InputError
 
     if scenario.recorded is None:
+        return 1 if arguments.seed is None else int(arguments.seed)
+    if scenario.recorded.replay is not None:
         return 1 if arguments.seed is None else int(arguments.seed)
     if arguments.seed is not None:
         raise InputError(f"--seed {arguments.seed}: recorded traffic has no seed; leave it out")

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hatn_sim.score.oracle_scores import Tally
     from hatn_sim.simulators.sumo import SumoSimulator
 
+DURATION_S: Final = 600.0
 SAMPLE_EVERY_S: Final = 1.0
 MAX_LINES: Final = 20
 """Disagreements written out; the rest are counted."""
@@ -45,7 +46,8 @@ def main(arguments: argparse.Namespace) -> int:
                 for notice in simulator.notices:
                     print(f"hatn-sim: {notice}", file=sys.stderr)
             frame = warm_up(simulator, first, round(warm_up_s / simulator.dt_s))
-            tally = _compare(simulator, frame, arguments.duration, quiet=arguments.json)
+            duration_s = arguments.duration or DURATION_S
+            tally = _compare(simulator, frame, duration_s, quiet=arguments.json)
     except SimulatorError as error:
         repeat = f"hatn-sim doctor --oracle {arguments.oracle} --seed {arguments.seed}"
         raise SimulatorError(f"{error}; repeat with `{repeat}`") from None

@@ -18,32 +18,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hatn_sim.commands.options import (
+    add_driving,
     add_scene,
     add_traffic,
     chosen_scenario,
     chosen_seed,
     default_warm_up_s,
     names,
-    scene_words,
     seconds,
     seconds_or_none,
+    with_driving,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hatn_sim.config import Scenario
-    from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
+    from hatn_sim.datatypes import Advice, Agent, Frame, Predictor, Score, Simulator
     from hatn_sim.log import Run, RunWriter
+    from hatn_sim.simulators.sumo_replay_figures import Divergence, Fidelity
 
 EXAMPLES = """examples:
   hatn-sim run intersection5
   hatn-sim run roundabout8 --duration 120 --compare constant_velocity,idm --seed 7
   hatn-sim run my/town.sumocfg --egos bus_12,car_3 --out runs/town
   hatn-sim run --tracks 'site/vehicle_tracks_*.csv' --map site.osm --recordings 000-004
+  hatn-sim run --tracks site/vehicle_tracks_000.csv --map site.osm --net site.net.xml --drive 12@8
 """
 DURATION_S = 60.0
 STEP_S = 0.1
+REPLAY_FILE = "replay.json"
+SIMULATORS_OWN = "sumo_driver"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,6 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="vehicles that get suggestions and alerts (default: all)",
     )
     add_traffic(parser)
+    add_driving(parser)
     parser.add_argument(
         "--out",
         type=Path,
@@ -105,13 +110,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
+    from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
     from hatn_sim.log.road_file import ROAD_FILE, write_road
     from hatn_sim.traffic import open_traffic
 
     started = time.monotonic()
-    scenario = chosen_scenario(arguments)
+    scenario = with_driving(chosen_scenario(arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     if arguments.warm_up is None:
         arguments.warm_up = default_warm_up_s(scenario)
@@ -120,6 +126,7 @@ def main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out or _free_folder(scenario.name)
     _check_out(out)
     predictors = _load_predictors(arguments)
+    agents = _load_agents(arguments)
     header = make_header(arguments, scenario, predictors)
     where = ""
     try:
@@ -131,7 +138,7 @@ def main(arguments: argparse.Namespace) -> int:
             with RunWriter(out, header) as writer:
                 where = f"; the log up to here is in {out}"
                 write_road(out / ROAD_FILE, simulator.road.lanes.values())
-                done = _simulate(arguments, simulator, first, predictors, writer)
+                done = _simulate(arguments, simulator, first, predictors, agents, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})
         return _finish(arguments, out, done, started)
@@ -168,6 +175,15 @@ def _load_predictors(arguments: argparse.Namespace) -> list[Predictor]:
     return predictors
 
 
+def _load_agents(arguments: argparse.Namespace) -> dict[str, Agent]:
+    """The drivers of the vehicles of --drive; SUMO's own is none of ours."""
+    from hatn_sim.plugins import load_agent
+
+    agent = load_agent(arguments.agent)
+    vehicles = [word.partition("@")[0] for word in names(arguments.drive or "")]
+    return {} if arguments.agent == SIMULATORS_OWN else dict.fromkeys(vehicles, agent)
+
+
 @dataclass(frozen=True)
 class Simulated:
     """A run that has been simulated and logged."""
@@ -175,6 +191,7 @@ class Simulated:
     frames: int
     began: float  # time.monotonic() after the warm-up
     seconds: float  # from then on, of the wall clock
+    replay: tuple[Fidelity, Divergence] | None  # of tracks replayed inside SUMO
 
 
 def _simulate(
@@ -182,10 +199,12 @@ def _simulate(
     simulator: Simulator,
     frame: Frame,
     predictors: Sequence[Predictor],
+    agents: Mapping[str, Agent],
     writer: RunWriter,
 ) -> Simulated:
     from hatn_sim.commands.progress import Progress
     from hatn_sim.loop import Adviser, run, warm_up
+    from hatn_sim.simulators.sumo_replay import SumoReplay
 
     egos = None if arguments.egos is None else frozenset(arguments.egos)
     advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]
@@ -199,10 +218,14 @@ def _simulate(
             writer.write(index, frame, advice)
             progress.show(index + 1, len(frame.scene.ids))
 
-        frames = run(simulator, advisers, frame, total or sys.maxsize, write)
+        frames = run(simulator, advisers, frame, total or sys.maxsize, write, agents)
+    seconds = time.monotonic() - began
     if total is not None and frames < total and not arguments.quiet:
         print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
-    return Simulated(frames, began, time.monotonic() - began)
+    replay = None
+    if isinstance(simulator, SumoReplay):
+        replay = simulator.fidelity, simulator.divergence
+    return Simulated(frames, began, seconds, replay)
 
 
 def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: float) -> int:
@@ -221,10 +244,15 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     never = [name for name in arguments.egos or () if name not in logged.ids]
     if never:
         print(f"hatn-sim: never seen in this run: --egos {','.join(never)}", file=sys.stderr)
+    replayed = _write_replay(logged, out, done.replay)
     if arguments.json:
-        print(scores_json([*scores, *_rates(logged, done.frames, taken_s)]))
+        print(scores_json([*scores, *replayed, *_rates(logged, done.frames, taken_s)]))
         return 0
     make_console().print(score_table(scores, clustered_over([logged])))
+    if done.replay is not None:
+        from hatn_sim.report.replay_table import replay_table
+
+        make_console().print(replay_table(str(logged.header["scene"]), *done.replay))
     walking = int((logged.kinds == Kind.PEDESTRIAN).sum())
     seen = f"{len(logged.ids) - walking} vehicles"
     seen += f" and {walking} pedestrians" if walking else ""
@@ -239,6 +267,20 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     if pictures:
         print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
     return 0
+
+
+def _write_replay(
+    logged: Run, out: Path, replay: tuple[Fidelity, Divergence] | None
+) -> list[Score]:
+    """The figures of a replay inside SUMO, in a file of the run as well."""
+    if replay is None:
+        return []
+    from hatn_sim.report.replay_table import replay_scores
+    from hatn_sim.report.table import scores_json
+
+    scores = replay_scores(str(logged.header["scene"]), *replay)
+    (out / REPLAY_FILE).write_text(scores_json(scores) + "\n", encoding="utf-8")
+    return scores
 
 
 def _rates(logged: Run, frames: int, taken_s: float) -> list[Score]:
@@ -267,70 +309,6 @@ def _draw(logged: Any, out: Path, quiet: bool) -> list[Path]:
         if not quiet:
             print(f"hatn-sim: no picture: {error}", file=sys.stderr)
         return []
-
-
-def make_header(
-    arguments: argparse.Namespace, scenario: Scenario, predictors: Sequence[Predictor]
-) -> dict[str, Any]:
-    """What `run.json` says of how the run was made, without paths of this machine's folders."""
-    from hatn_sim.commands.versions import installed
-
-    hashes = {
-        predictor.name: getattr(getattr(predictor, "weights", None), "sha256", None)
-        for predictor in predictors
-    }
-    return {
-        "scene": scenario.name,
-        "title": scenario.title or scenario.name,
-        "seed": arguments.seed,
-        "adapt": "none",
-        "settings": {
-            **_recorded_settings(scenario),
-            "duration_s": arguments.duration,
-            "warm_up_s": arguments.warm_up,
-            "predictor": predictors[0].name,
-            "compare": [predictor.name for predictor in predictors[1:]],
-            "lines": arguments.lines,
-            "egos": None if arguments.egos is None else list(arguments.egos),
-            "density": scenario.density,
-            "risk": scenario.risk,
-        },
-        "versions": installed(),
-        "weights_sha256": {name: value for name, value in hashes.items() if value is not None},
-        "command": _command(arguments, scenario),
-    }
-
-
-def _recorded_settings(scenario: Scenario) -> dict[str, Any]:
-    if scenario.recorded is None:
-        return {}
-    source = scenario.recorded
-    return {
-        "tracks": [path.name for path in source.tracks],
-        "map": None if source.map_path is None else source.map_path.name,
-        "recordings": list(source.recordings),
-    }
-
-
-def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
-    words = ["hatn-sim", "run", *scene_words(arguments)]
-    if arguments.seed is not None:
-        words += ["--seed", str(arguments.seed)]
-    if arguments.duration is not None:
-        words += ["--duration", f"{arguments.duration:g}"]
-    words += ["--warm-up", f"{arguments.warm_up:g}"]
-    words += ["--predictor", arguments.predictor, "--lines", arguments.lines]
-    if arguments.weights is not None:
-        words += ["--weights", str(arguments.weights)]
-    if arguments.compare:
-        words += ["--compare", ",".join(arguments.compare)]
-    if arguments.egos is not None:
-        words += ["--egos", ",".join(arguments.egos)]
-    if scenario.density is not None:
-        words += ["--density", scenario.density]
-    if scenario.risk is not None:
-        words += ["--risk", scenario.risk]
-    return shlex.join(words)
 
 
 def _free_folder(name: str) -> Path:

@@ -34,6 +34,9 @@ class HighwaySimulator:
     since highway-env has none, and obstacles on its roads are not in the scene. The end of an
     episode is ignored: see `highway_traffic` for who comes in and who leaves.
 
+    `Scene.yaw_rad` is the heading; in turns the centres move up to 0.26 rad aside of it, and
+    `Scene.speed_mps` is the speed of that motion, as highway-env's own.
+
     The same seed gives the same frames bit for bit. A context manager; `close` may be called again.
     """
 

@@ -27,8 +27,8 @@ EXIT_M: Final = 5.0
 """Vehicles leave this far before the end of the road, where their drivers would look for more."""
 CRASH_S: Final = 3.0
 """How long those that crashed stay on the road."""
-STUCK_S: Final = 60.0
-"""How long a vehicle may stand."""
+STUCK_S: Final = 30.0
+"""How long a vehicle may stand: now and then those of the intersection all wait for each other."""
 WAIT_S: Final = 1.0
 """How long a vehicle stands before the end of its lane until it pushes over."""
 STANDING_MPS: Final = 0.1

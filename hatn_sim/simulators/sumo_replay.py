@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, Command, Frame, Kind, Lane, Recording, Route, Scene
+from hatn_sim.datatypes import DT_S, Command, Frame, Gate, Kind, Lane, Recording, Route, Scene
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo_config import MAX_SEED
@@ -112,7 +112,8 @@ class SumoReplay:
 
     @property
     def notices(self) -> Sequence[str]:
-        return self.recording.notices
+        """The recording's, and from the first `reset` on what the net makes of it."""
+        return (*self.recording.notices, *self._own_notices())
 
     @property
     def dt_s(self) -> float:
@@ -192,6 +193,20 @@ class SumoReplay:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _own_notices(self) -> list[str]:
+        notices: list[str] = []
+        if self._survey is not None and (strays := self._survey.without_way()):
+            notices.append(
+                f"{strays:,} of {len(self._survey.stays):,} recorded vehicles are near no lane of "
+                f"{self.net_path.name} that they may use: they can only be shown as recorded"
+            )
+        if any(lane.gate is Gate.SIGNAL for lane in self._lanes or ()):
+            notices.append(
+                f"signals of {self.net_path.name} run by their own programme, by the recording's "
+                "clock: recorded vehicles do not heed them, released ones do"
+            )
+        return notices
 
     def _start(self, seed: int, begin_s: float) -> None:
         """Starts SUMO with nobody on the road."""

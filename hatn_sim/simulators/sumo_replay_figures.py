@@ -40,7 +40,10 @@ class Fidelity:
 
 @dataclass(frozen=True)
 class DivergenceAt:
-    """How far vehicles that are driven are from their own recordings, so long after hand-over."""
+    """How far vehicles that are driven are from their own recordings, so long after hand-over.
+
+    One that was held back at its entry is behind its recording from the first moment on.
+    """
 
     after_s: float
     n: int

@@ -50,6 +50,10 @@ class Survey:
         match = self.match_at(vehicle, frame)
         return None if match is None else self.matcher.edges_from(match, frame)
 
+    def without_way(self) -> int:
+        """How many vehicles were matched to no lane."""
+        return sum(all(stay.match is None for stay in stays) for stays in self.stays.values())
+
 
 def front_xy_m(scene: Scene) -> FloatArray:
     """Front bumpers [N, 2] of the vehicles of a scene."""

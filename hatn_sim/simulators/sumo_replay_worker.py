@@ -26,7 +26,7 @@ from hatn_sim.simulators.sumo_worker import Simulation, serve
 
 MOVE_ANYWHERE: Final = 2
 """keepRoute: exactly there, whatever edge and whether or not there is one."""
-ON_LANE_M: Final = 100.0
+ON_LANE_M: Final = 10.0
 BESIDE_THE_ROAD_M: Final = 0.01
 """How far `moveToXY` looks for a lane."""
 

@@ -1,0 +1,88 @@
+"""What `run.json` says of how a run was made."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from hatn_sim.commands.options import scene_words
+
+if TYPE_CHECKING:
+    from hatn_sim.config import Scenario
+    from hatn_sim.datatypes import Predictor
+
+
+def make_header(
+    arguments: argparse.Namespace, scenario: Scenario, predictors: Sequence[Predictor]
+) -> dict[str, Any]:
+    """What `run.json` says of how the run was made, without paths of this machine's folders."""
+    from hatn_sim.commands.versions import installed
+
+    hashes = {
+        predictor.name: getattr(getattr(predictor, "weights", None), "sha256", None)
+        for predictor in predictors
+    }
+    return {
+        "scene": scenario.name,
+        "title": scenario.title or scenario.name,
+        "seed": arguments.seed,
+        "adapt": "none",
+        "settings": {
+            **_recorded_settings(scenario),
+            "duration_s": arguments.duration,
+            "warm_up_s": arguments.warm_up,
+            "predictor": predictors[0].name,
+            "compare": [predictor.name for predictor in predictors[1:]],
+            "lines": arguments.lines,
+            "egos": None if arguments.egos is None else list(arguments.egos),
+            "density": scenario.density,
+            "risk": scenario.risk,
+            "drive": arguments.drive,
+            "agent": arguments.agent,
+        },
+        "versions": installed(),
+        "weights_sha256": {name: value for name, value in hashes.items() if value is not None},
+        "command": _command(arguments, scenario),
+    }
+
+
+def _recorded_settings(scenario: Scenario) -> dict[str, Any]:
+    if scenario.recorded is None:
+        return {}
+    source = scenario.recorded
+    return {
+        "tracks": [path.name for path in source.tracks],
+        "map": None if source.map_path is None else source.map_path.name,
+        "recordings": list(source.recordings),
+        "net": None if source.replay is None else source.replay.net_path.name,
+        "react_from_s": None if source.replay is None else source.replay.react_from_s,
+    }
+
+
+def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
+    words = ["hatn-sim", "run", *scene_words(arguments)]
+    if arguments.seed is not None:
+        words += ["--seed", str(arguments.seed)]
+    if arguments.duration is not None:
+        words += ["--duration", f"{arguments.duration:g}"]
+    words += ["--warm-up", f"{arguments.warm_up:g}"]
+    words += ["--predictor", arguments.predictor, "--lines", arguments.lines]
+    if arguments.weights is not None:
+        words += ["--weights", str(arguments.weights)]
+    if arguments.compare:
+        words += ["--compare", ",".join(arguments.compare)]
+    if arguments.egos is not None:
+        words += ["--egos", ",".join(arguments.egos)]
+    if arguments.net is not None:
+        words += ["--net", str(arguments.net)]
+    if arguments.react_from is not None:
+        words += ["--react-from", f"{arguments.react_from:g}"]
+    if arguments.drive is not None:
+        words += ["--drive", arguments.drive, "--agent", arguments.agent]
+    if scenario.density is not None:
+        words += ["--density", scenario.density]
+    if scenario.risk is not None:
+        words += ["--risk", scenario.risk]
+    return shlex.join(words)
