@@ -223,7 +223,7 @@ def _by_habit(road: Road, habits: Habits, line: IntArray) -> IntArray:
     nats = np.round(np.where(known, share_nats(habits, road.fork_lane[line]), 0.0), 6)
     turns = known & (road.fork_turn[line] != 0)
     keys = np.stack((turns.astype(np.float64), nats), axis=2)[:, ::-1]  # the last key counts first
-    return np.lexsort(keys.reshape(len(line), -1).T)
+    return np.lexsort(keys.reshape(len(line), 2 * known.shape[1]).T)
 
 
 def _same_course(road: Road, own: int, candidates: IntArray) -> int:
