@@ -277,11 +277,13 @@ class Road:
         if len(self._touched):
             self._touched[line[line >= 0]] = self._clock
 
-    def release(self, idle_frames: int) -> None:
-        """Let go of the lines that were not touched for so many frames.
+    def release(self, idle_frames: int, keep: int = 0) -> None:
+        """Let go of the lines not touched for so many frames, if there are more than `keep` lines.
 
         Nobody may hold on to these: their numbers will mean other lines.
         """
+        if len(self._line_of) <= keep:
+            return
         old = self._touched[: len(self.lines)] < self._clock - idle_frames
         old[self._free] = False
         gone = np.flatnonzero(old)
