@@ -47,6 +47,7 @@ class FcdRecording:
         if source.map_path is None:
             raise InputError(f"{path}: add --map FILE, the net that it was recorded in")
         self.name = name
+        self.ids_by = ""
         self._path = path
         self._map_path = source.map_path
 

@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hatn_sim.config import RecordedSource
-from hatn_sim.datatypes import HISTORY_FRAMES, Frame, IntArray, Lane, Scene, Truth
+from hatn_sim.datatypes import (
+    CASE_HISTORY_FRAMES,
+    HISTORY_FRAMES,
+    Frame,
+    IntArray,
+    Lane,
+    Scene,
+    Truth,
+)
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.ending import with_end
 from hatn_sim.recordings.interaction_checks import STEP_MS
@@ -28,7 +36,7 @@ from hatn_sim.recordings.spool import Spool
 
 GAP_FRAMES: Final = HISTORY_FRAMES
 """Empty frames between two recordings, at least."""
-CASE_NOW: Final = 9
+CASE_NOW: Final = CASE_HISTORY_FRAMES - 1
 """The last observed frame of a case is its tenth ..."""
 SAMPLE_FRAMES: Final = 5
 """... and comes on a multiple of this, where samples are taken."""
@@ -65,6 +73,12 @@ class InteractionRecording:
         return self._name
 
     @property
+    def ids_by(self) -> str:
+        if self._has_cases:
+            return "cases"
+        return "recordings" if len(self._recordings) > 1 else ""
+
+    @property
     def lanes(self) -> Sequence[Lane]:
         return self._lanes
 
@@ -74,6 +88,11 @@ class InteractionRecording:
         if self._has_cases or len(self._recordings) > 1:
             what = "cases" if self._has_cases else f"{len(self._recordings)} recordings"
             notices.append(f"{what} follow each other, {GAP_FRAMES} empty frames or more between")
+        if self._has_cases:
+            notices.append(
+                f"cases have {CASE_HISTORY_FRAMES} frames behind what is scored, "
+                f"where other traffic has {HISTORY_FRAMES}"
+            )
         beside = [one.paths[-1].name for one in self._recordings if one.found_beside]
         if beside:
             more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
@@ -141,10 +160,13 @@ class InteractionRecording:
                         )
 
     def _ids(self, recorded: Recorded, found: Scan) -> list[str]:
-        """A name for every track, `000:12` where there are several recordings or cases."""
-        before = f"{recorded.name}:" if len(self._recordings) > 1 else ""
+        """A name for every track: `12`, of several recordings `000:12`, of cases `7:12`, or
+        `FILE/7:12` of cases in several files."""
+        several = len(self._recordings) > 1
         if not self._has_cases:
+            before = f"{recorded.name}:" if several else ""
             return [before + name for name in found.track_names]
+        before = f"{recorded.name}/" if several else ""
         cases = [found.parts[part].name for part in found.track_part.tolist()]
         return [f"{before}{c}:{n}" for c, n in zip(cases, found.track_names, strict=True)]
 
