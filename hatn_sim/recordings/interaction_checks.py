@@ -47,8 +47,29 @@ class Columns:
     """Rows of a file. The first may be the last one of the block before."""
 
     line: IntArray  # [R] in the file, the header is line 1
-    track: IntArray  # [R] number of the track in the file
+    track: IntArray  # [R] number of the track in the file, in order of appearance
+    kind: IntArray  # [R] Kind
     values: Mapping[str, FloatArray]  # [R] by the column's name
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def last(self) -> Columns:
+        """The last row."""
+        values = {name: column[-1:] for name, column in self.values.items()}
+        return Columns(self.line[-1:], self.track[-1:], self.kind[-1:], values)
+
+    def after(self, before: Columns) -> Columns:
+        """These rows with others before them."""
+        return Columns(
+            np.concatenate([before.line, self.line]),
+            np.concatenate([before.track, self.track]),
+            np.concatenate([before.kind, self.kind]),
+            {
+                name: np.concatenate([before.values[name], self.values[name]])
+                for name in self.values
+            },
+        )
 
 
 def check_header(path: Path, names: Sequence[str]) -> None:
@@ -101,6 +122,18 @@ def _refuse_first(
         raise InputError(
             f"{path}:{columns.line[rows[0]]}: {name}: expected {expected}, found {found}; "
             + " ".join(filter(None, (hint, "correct the row")))
+        )
+
+
+def check_order(path: Path, columns: Columns, tracks: Sequence[str]) -> None:
+    """Raises InputError where a track goes on after another one."""
+    back = np.flatnonzero(np.diff(columns.track) < 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise InputError(
+            f"{path}:{columns.line[row]}: track {tracks[int(columns.track[row])]}: expected its "
+            "rows together, found it again after another track; sort the file by track_id and "
+            "frame_id"
         )
 
 
