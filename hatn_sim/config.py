@@ -121,7 +121,10 @@ def load_tracks(
         )
     if map_path is not None and not map_path.is_file():
         raise InputError(f"{map_path}: there is no such map; correct --map")
-    name = first.name.partition(".")[0] if len(paths) == 1 else first.resolve().parent.name
+    # Recordings 000, 001 ... of a place lie in a folder that is named after it.
+    is_numbered = re.match("(vehicle|pedestrian)_tracks_", first.name) is not None
+    is_place = len(paths) > 1 or is_numbered
+    name = first.resolve().parent.name if is_place else first.name.partition(".")[0]
     return Scenario(
         name=name,
         config_path=first,

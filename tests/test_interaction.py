@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gc
 import math
+import re
 import tracemalloc
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
@@ -123,6 +124,30 @@ def test_pedestrians_are_read_along_and_get_a_heading_and_a_size(
         # Not known while it stands at first, held while it stands later.
         yaws = [frames[k].scene.yaw_rad[1] for k in range(2, 7)]
         assert yaws == [0.0, math.pi / 2, math.pi, math.pi, math.pi]
+
+
+def test_there_may_be_no_pedestrians_and_no_limit_to_turning(
+    tmp_path: Path, played: Callable[..., list[Frame]]
+) -> None:
+    rows = [(*row[:8], 4 * math.pi, *row[9:]) for row in car(1, 1, 30)]
+    write(tmp_path / "vehicle_tracks_000.csv", rows)
+    write(tmp_path / "pedestrian_tracks_000.csv", [], HEADER.rpartition(",psi_rad")[0])
+    frames = played("vehicle_tracks_000.csv")
+    assert {frame.scene.ids for frame in frames} == {("1",)}
+    assert frames[0].scene.yaw_rad[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_map_out_of_place_is_noticed(tmp_path: Path, map_path: Path) -> None:
+    path = tmp_path / "vehicle_tracks_000.csv"
+    for off_m, count in ((0.0, 0), (7.0, 1)):
+        write(path, car(1, 1, 20, y_m=off_m))
+        recording = open_recording("x", RecordedSource((path,), map_path))
+        next(recording.frames())
+        assert len(recording.notices) == count
+    expected = (
+        r"^vehicle_tracks_000.csv: vehicles are \d\.\d m from the middle .*is map.osm the map"
+    )
+    assert re.match(expected, recording.notices[0])
 
 
 def test_recordings_follow_each_other(tmp_path: Path, played: Callable[..., list[Frame]]) -> None:
@@ -389,7 +414,12 @@ FAULTS: dict[str, tuple[Callable[[list[list[str]]], object], str]] = {
     ),
     "degrees": (
         each("psi_rad", lambda _: 90.0),
-        r":2: psi_rad: expected radians within -2 pi and 2 pi, found 90; degrees\? correct the row",
+        r":2: psi_rad: expected radians within -4 pi and 4 pi, found 90; degrees\? correct the row",
+    ),
+    "from north": (
+        each("psi_rad", lambda yaw: math.pi / 2 - yaw),
+        r": expected psi_rad as x, y move, counter-clockwise from \+x, found it more than 60 "
+        r"degrees off in 100% of 58 steps; clockwise, or from north\? convert it",
     ),
     "length in cm": (
         each("length", lambda m: 100 * m),
@@ -451,6 +481,11 @@ def test_files_that_are_no_tracks(
         InputError, match="expected frame 0 at 0 ms as with the vehicles, found it at 50"
     ):
         played(path.name)
+    for name in (path.name, "pedestrian_tracks_000.csv"):
+        write(tmp_path / name, [(1, *row) for row in car(1, 1, 9)], f"case_id,{HEADER}")
+    with pytest.raises(InputError, match="found 2 files of one recording; join them"):
+        played(path.name)
+    write(path, car(1, 1, 9))
     (tmp_path / "pedestrian_tracks_000.csv").unlink()
     (tmp_path / "vehicle_ids_000.csv").write_text("a,b,c\n")
     with pytest.raises(

@@ -56,6 +56,7 @@ class InteractionRecording:
         self._name = name
         self._map_path = source.map_path
         self._recordings = group_files(source.tracks, ())
+        self._found: dict[str, None] = {}  # notices on what has been read, in order
         paths = [path for recorded in self._recordings for path in recorded.paths]
         with_cases = [path for path in paths if InteractionTable(path).has_cases]
         if with_cases and len(with_cases) < len(paths):
@@ -84,6 +85,7 @@ class InteractionRecording:
 
     @property
     def notices(self) -> Sequence[str]:
+        """On the files; once the first frame has been given, also on how they fit the map."""
         notices: list[str] = []
         if self._has_cases or len(self._recordings) > 1:
             what = "cases" if self._has_cases else f"{len(self._recordings)} recordings"
@@ -97,7 +99,7 @@ class InteractionRecording:
         if beside:
             more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
             notices.append(f"read along with the vehicles: {', '.join(beside[:3])}{more}")
-        return notices
+        return [*notices, *self._found]
 
     def frames(self) -> Iterator[Frame]:
         """The frames from the beginning.
@@ -140,6 +142,7 @@ class InteractionRecording:
             with Spool(ROW) as spool:
                 found = scan(recorded, self._cases, self.lanes, self._map_path, spool)
                 known += found.cases
+                self._found.update(dict.fromkeys(found.notices))
                 if recorded is self._recordings[-1]:
                     refuse_unknown(recorded.paths[0], self._cases, known)
                 starts = _starts(found.parts, free, self._has_cases)
