@@ -431,6 +431,12 @@ FAULTS: dict[str, tuple[Callable[[list[list[str]]], object], str]] = {
         r"every lane \(median 8\d\d m, the farthest 8\d\d m; tracks around \(97\d, 0\), lanes "
         r"around \(-?\d+, -?\d+\)\): map and tracks seem not to belong together; give the map of ",
     ),
+    "a slip in the times": (
+        both(*(lambda t, c=c, by=by: [changed(k, c, float(t[k][t[0].index(c)]) + by)(t)
+                                      for k in range(31, 61)]
+               for c, by in (("frame_id", 40_000), ("timestamp_ms", 4_000_000)))),
+        ": frame 40011: expected pauses of at most 3600 s, found nobody for 3998 s; ",
+    ),
     "no rows": (lambda t: t.__delitem__(slice(1, None)), ": expected tracks, found none; "),
 }  # fmt: skip
 

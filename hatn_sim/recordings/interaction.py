@@ -32,6 +32,7 @@ from hatn_sim.recordings.interaction_files import Recorded, group_files, refuse_
 from hatn_sim.recordings.interaction_scan import Part, Scan, scan
 from hatn_sim.recordings.interaction_table import ROW, InteractionTable, Rows
 from hatn_sim.recordings.maps import read_lanes
+from hatn_sim.recordings.pause import check_pause
 from hatn_sim.recordings.spool import Spool
 
 GAP_FRAMES: Final = HISTORY_FRAMES
@@ -137,6 +138,7 @@ class InteractionRecording:
     def _moments(self) -> Iterator[Moment]:
         """The frames with somebody in them, in order of time."""
         free = 0
+        last = -1
         known: list[str] = []
         for recorded in self._recordings:
             with Spool(ROW) as spool:
@@ -154,8 +156,11 @@ class InteractionRecording:
                     for rows in _by_frame(spool.read(bucket)):
                         part, frame = int(rows["part"][0]), int(rows["frame"][0])
                         origin = found.parts[part]
+                        index = starts[part] + frame - origin.first_frame
+                        check_pause(f"{recorded.paths[0]}: frame {frame}", index - last - 1)
+                        last = index
                         yield Moment(
-                            index=starts[part] + frame - origin.first_frame,
+                            index=index,
                             time_ms=origin.zero_ms + STEP_MS * frame,
                             ids=tuple(ids[rows["track"]].tolist()),
                             rows=rows,
