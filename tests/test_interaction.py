@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from conftest import crossing_lanes
 
+from hatn_sim.cli import main
 from hatn_sim.config import RecordedSource, load_scenario, load_tracks
 from hatn_sim.datatypes import Frame, Kind, Scene, Truth
 from hatn_sim.errors import InputError
@@ -25,6 +26,7 @@ from hatn_sim.recordings.find import open_recording
 from hatn_sim.recordings.interaction import CASE_NOW, GAP_FRAMES, InteractionRecording
 from hatn_sim.recordings.interaction_export import export_interaction
 from hatn_sim.recordings.lanelet2_write import write_lanelet2
+from hatn_sim.score.prediction import score_run
 from hatn_sim.traffic import open_traffic
 
 HEADER = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
@@ -203,6 +205,30 @@ def test_cases_are_laid_so_that_their_present_is_sampled(
     assert {name for f in chosen for name in f.scene.ids} == {"5:1", "5:2"}
     with pytest.raises(InputError, match=r"there is no recording '4'; known: 1, 2, 5$"):
         played("PLACE_train.csv", recordings=("4",))
+
+
+def test_cases_are_scored_once_each_and_apart(
+    tmp_path: Path, map_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("ONE_train", "TWO_train"):
+        rows = [(case, *row) for case in range(3) for row in car(1, 1, 40, speed=8.0 + case)]
+        write(tmp_path / f"{name}.csv", rows, f"case_id,{HEADER}")
+    words = ["run", "--tracks", str(tmp_path / "*_train.csv"), "--map", str(map_path)]
+    words += ["--predictor", "constant_velocity", "--no-picture", "--out", str(tmp_path / "run")]
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert "cases have 10 frames behind what is scored" in printed.err
+    assert "95 % interval, bootstrapped over cases" in printed.out
+    logged = read_run(tmp_path / "run")
+    assert logged.ids[:4] == ("ONE_train/0:1", "ONE_train/1:1", "ONE_train/2:1", "TWO_train/0:1")
+    assert logged.recording_of.tolist() == list(range(6))
+    scores = {(s.measure, s.subset): s for s in score_run(logged)}
+    ade = scores["ade_3s", "all"]
+    assert ade.n == 6 and ade.value == pytest.approx(0.0, abs=1e-6)
+    # Played again, a log of cases is still one of cases.
+    again = ["run", str(tmp_path / "run"), "--predictor", "constant_velocity", "--no-picture"]
+    assert main([*again, "--out", str(tmp_path / "again")]) == 0
+    assert {s.n for s in score_run(read_run(tmp_path / "again")) if s.measure == "ade_3s"} == {6}
 
 
 def test_observations_of_a_challenge_have_a_column_more(
