@@ -17,6 +17,8 @@ from hatn_sim.simulators.sumo_config import check_sumocfg
 
 DEFAULT_DENSITY = "normal"
 DEFAULT_RISK = "courteous"
+MOST_NAMED = 100_000
+"""Recordings or cases in one span of names."""
 SIMULATORS = ("sumo", "highway", "recorded")
 
 
@@ -229,7 +231,7 @@ def recording_names(text: str) -> tuple[str, ...]:
         first, dash, last = part.partition("-")
         if not dash:
             names.append(part)
-        elif first.isdigit() and last.isdigit() and int(first) <= int(last):
+        elif first.isdecimal() and last.isdecimal() and 0 <= int(last) - int(first) < MOST_NAMED:
             names += [f"{k:0{len(first)}d}" for k in range(int(first), int(last) + 1)]
         else:
             raise InputError(f"recordings: expected names like 000-004,017, found {part!r}")

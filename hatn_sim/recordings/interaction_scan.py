@@ -15,7 +15,7 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.fit import distance_to_lanes_m
-from hatn_sim.recordings.interaction_files import Recorded, is_named, read_ids
+from hatn_sim.recordings.interaction_files import Recorded, among, read_ids
 from hatn_sim.recordings.interaction_table import InteractionTable, Rows
 from hatn_sim.recordings.spool import Spool
 
@@ -67,8 +67,9 @@ def scan(
     parts: list[Part] = []
     seen: list[str] = []
     notices: list[str] = []
+    is_wanted = among(cases) if cases else None
     for path in recorded.paths:
-        table = InteractionTable(path, (lambda case: is_named(case, cases)) if cases else None)
+        table = InteractionTable(path, is_wanted)
         first = np.zeros(0, dtype=np.int64)
         last = np.zeros(0, dtype=np.int64)
         places: list[FloatArray] = [np.zeros((0, 2))]
