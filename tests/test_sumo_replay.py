@@ -21,8 +21,9 @@ from hatn_sim.recordings.sumo_net_export import find_netconvert
 from hatn_sim.report.replay_table import replay_scores, replay_table
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_replay import SumoReplay, open_replay, parse_take_over
-from hatn_sim.simulators.sumo_replay_figures import Quantiles, boxes_touch
+from hatn_sim.simulators.sumo_replay_figures import Quantiles
 from hatn_sim.simulators.sumo_replay_match import LaneMatcher
+from hatn_sim.simulators.touching import boxes_touch, touching_pairs, touching_rows_of
 
 WARM_UP_FRAMES = 300
 
@@ -419,6 +420,17 @@ def test_boxes_touch_as_polygons_intersect() -> None:
     first, second = np.triu_indices(80, 1)
     expected = [outlines[i].intersects(outlines[j]) for i, j in zip(first, second, strict=True)]
     assert boxes_touch(xy, yaw, size, first, second).tolist() == expected
+
+
+def test_pairs_of_some_are_those_of_all_that_have_one_of_them() -> None:
+    rng = np.random.default_rng(1)
+    scene = scene_of(0.0, {f"v{k}": tuple(rng.uniform(-12, 12, 4)) for k in range(40)})
+    of = np.arange(40) % 3 == 0
+    rows = touching_rows_of(scene, of)
+    assert all(of[one] for one, _ in rows) and len(rows) > 10
+    marked = {name for name, is_marked in zip(scene.ids, of, strict=True) if is_marked}
+    expected = [pair for pair in touching_pairs(scene) if marked & set(pair)]
+    assert sorted(tuple(sorted((scene.ids[i], scene.ids[j]))) for i, j in rows) == expected
 
 
 def test_quantiles_against_numpy() -> None:
