@@ -27,6 +27,7 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+from hatn_sim.plugins import SHIPPED_AGENTS
 from hatn_sim.road import Road
 
 LineSource = Literal["inferred", "route"]
@@ -36,6 +37,7 @@ RELEASE_FRAMES: Final = 300
 KEPT_LINES: Final = 4000
 """With more reference lines than this, those that nobody was near for so long are let go: long runs
 in cities stay small."""
+ROUNDING_S: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,14 @@ class Adviser:
     predictor: Predictor
     lines: LineSource = "inferred"
     egos: frozenset[str] | None = None  # who gets suggestions and alerts; None: everybody
+
+
+@dataclass(frozen=True, eq=False)
+class Driver:
+    """An agent, and the scene's time from which it is asked; None: from the beginning."""
+
+    agent: Agent
+    from_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +72,7 @@ def begin(adviser: Adviser, road: Road) -> AdviserState:
 def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState:
     """Take in a frame for which no advice is wanted."""
     routes = frame.truth.routes if adviser.lines == "route" else None
-    with _named(adviser.predictor, frame.scene):
+    with _named(f"predictor {adviser.predictor.name!r}", adviser.predictor, frame.scene):
         memory = adviser.predictor.observe(state.memory, frame.scene, routes)
     return replace(state, memory=memory)
 
@@ -70,28 +80,28 @@ def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState
 def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserState, Advice]:
     """Take in a frame and give advice: prediction, suggestions, alerts."""
     state = observe(adviser, state, frame)
-    with _named(adviser.predictor, frame.scene):
+    with _named(f"predictor {adviser.predictor.name!r}", adviser.predictor, frame.scene):
         prediction = adviser.predictor.predict(state.memory)
     check_prediction(adviser.predictor.name, prediction, frame.scene)
     return advise(adviser, state, frame.scene, prediction)
 
 
 @contextmanager
-def _named(predictor: Predictor, scene: Scene) -> Generator[None, None, None]:
-    """An exception of somebody's own predictor becomes one line that says where it came from.
+def _named(what: str, plugged_in: object, scene: Scene) -> Generator[None, None, None]:
+    """An exception of somebody's own predictor or agent becomes one line that says where.
 
-    Those of the predictors that ship are this package's bugs: they keep their traceback.
+    Those of the ones that ship are this package's bugs: they keep their traceback.
     """
     try:
         yield
     except HatnSimError:
         raise
     except Exception as error:
-        if type(predictor).__module__.startswith("hatn_sim."):
+        if type(plugged_in).__module__.startswith(("hatn_sim.", SHIPPED_AGENTS)):
             raise
         last = traceback.extract_tb(error.__traceback__)[-1]
         raise InputError(
-            f"predictor {predictor.name!r} failed at {scene.time_s:.1f} s: "
+            f"{what} failed at {scene.time_s:.1f} s: "
             f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
         ) from error
 
@@ -123,6 +133,20 @@ def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
         raise InputError(f"{where}: the prediction for {first!r} is not finite; mend the predictor")
 
 
+def check_command(command: Command, ego_id: str, scene: Scene) -> None:
+    """InputError where an agent's command is none, not of its vehicle or not finite."""
+    where = f"the agent of {ego_id!r} at {scene.time_s:.1f} s"
+    if not isinstance(command, Command):
+        raise InputError(
+            f"{where}: step returned {type(command).__name__} as its command, "
+            "expected hatn_sim.datatypes.Command or None"
+        )
+    if command.ego_id != ego_id:
+        raise InputError(f"{where}: it commands {command.ego_id!r}; expected its own vehicle")
+    if not np.isfinite(command.acceleration_mps2):
+        raise InputError(f"{where}: its acceleration is not finite; mend the agent")
+
+
 def advise(
     adviser: Adviser, state: AdviserState, scene: Scene, prediction: Prediction
 ) -> tuple[AdviserState, Advice]:
@@ -150,17 +174,20 @@ def run(
     frame: Frame,
     frames: int,
     write: Callable[[int, Frame, Mapping[str, Advice]], None],
-    agents: Mapping[str, Agent] | None = None,
+    drivers: Mapping[str, Driver] | None = None,
 ) -> int:
     """Advise a whole run and hand every frame with its advice to `write`; returns the frames done.
 
     `frame` is the first of them. The first adviser predicts on every frame, the others on those
-    that are scored. `agents` drive the vehicles of their ids.
+    that are scored. `drivers` drive the vehicles of their ids.
     """
-    drivers = agents or {}
+    drivers = drivers or {}
     road = simulator.road
     states = [begin(adviser, road) for adviser in advisers]
-    driver_states = {ego_id: agent.init(road) for ego_id, agent in drivers.items()}
+    driver_states: dict[str, Any] = {}
+    for ego_id, driver in drivers.items():
+        with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
+            driver_states[ego_id] = driver.agent.init(road)
     done = 0
     for index in range(frames):
         advice: dict[str, Advice] = {}
@@ -175,13 +202,17 @@ def run(
         done = index + 1
         if frame.done or done == frames:
             break
+        shown = advice[advisers[MAIN].predictor.name]
         commands: list[Command] = []
-        for ego_id, agent in drivers.items():
-            shown = advice[advisers[MAIN].predictor.name]
-            driver_states[ego_id], command = agent.step(
-                driver_states[ego_id], ego_id, frame.scene, shown
-            )
+        for ego_id, driver in drivers.items():
+            if driver.from_s is not None and frame.scene.time_s < driver.from_s - ROUNDING_S:
+                continue
+            with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
+                driver_states[ego_id], command = driver.agent.step(
+                    driver_states[ego_id], ego_id, frame.scene, shown
+                )
             if command is not None:
+                check_command(command, ego_id, frame.scene)
                 commands.append(command)
         frame = simulator.step(commands)
     return done

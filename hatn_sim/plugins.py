@@ -14,6 +14,8 @@ from hatn_sim.resources import find_agents
 
 AGENT_CLASS = "Agent"
 """What the file of an agent that ships defines."""
+SHIPPED_AGENTS = "hatn_sim_agent_"
+"""How their modules are named when they are loaded."""
 
 
 def load_agent(name: str) -> Agent:
@@ -29,7 +31,7 @@ def load_agent(name: str) -> Agent:
         raise InputError(
             f"unknown agent {name!r}{nearest(name, shipped)} (your own: --agent module:Class)"
         )
-    spec = importlib.util.spec_from_file_location(f"hatn_sim_agent_{name}", shipped[name])
+    spec = importlib.util.spec_from_file_location(f"{SHIPPED_AGENTS}{name}", shipped[name])
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

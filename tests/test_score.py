@@ -482,6 +482,9 @@ SETTINGS = {"lines": "inferred", "density": "normal", "risk": "courteous", "dura
         ({"settings": {**SETTINGS, "lines": "route"}}, "lines of {} (inferred), found route"),
         ({"settings": {**SETTINGS, "density": None}}, "density of {} (normal), found None"),
         ({"settings": {**SETTINGS, "risk": "tired"}}, "risk of {} (courteous), found tired"),
+        ({"settings": {**SETTINGS, "drive": "a"}}, "drive of {} (None), found a"),
+        ({"settings": {**SETTINGS, "react_from_s": 0.0}}, "react_from_s of {} (None), found 0.0"),
+        ({"settings": {**SETTINGS, "net": "n.net.xml"}}, "net of {} (None), found n.net.xml"),
         ({"adapt": "none"}, "adapt of {} (mekf), found none"),
         ({"weights_sha256": {"off": "cd" * 32}}, "weights of off of {} (abababababab), found cdcd"),
         ({"weights_sha256": {}}, "weights of off of {} (abababababab), found None"),
@@ -500,6 +503,16 @@ def test_runs_made_in_different_ways_are_not_pooled(
     assert said.endswith("; score these runs one by one") and "\n" not in said
     elsewhere = offset_run(tmp_path / "c", 1.0, **{**header, **other}, scene="other")
     assert {score.scene for score in score_runs([first, elsewhere])} == {"made_up", "other"}
+
+
+def test_who_drove_counts_where_somebody_was_driven(tmp_path: Path) -> None:
+    def made_by(agent: str, drive: str | None, seed: int) -> Run:
+        settings = {**SETTINGS, "agent": agent, "drive": drive}
+        return offset_run(tmp_path / f"{agent}-{drive}", 1.0, settings=settings, seed=seed)
+
+    with pytest.raises(InputError, match=r"the agent of .* \(calm\), found hasty"):
+        score_runs([made_by("calm", "a", 1), made_by("hasty", "a", 2)])
+    score_runs([made_by("calm", None, 1), made_by("hasty", None, 2)])
 
 
 def test_a_run_given_twice_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -10,16 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import scene_of
 from rich.console import Console
 
 from hatn_sim.config import load_scenario
-from hatn_sim.datatypes import Command, Frame, Kind, Lane, Scene
+from hatn_sim.datatypes import Command, Frame, Kind, Lane, Scene, Truth
 from hatn_sim.errors import InputError
+from hatn_sim.recordings.sumo_net_export import find_netconvert
 from hatn_sim.report.replay_table import replay_scores, replay_table
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_replay import SumoReplay, open_replay, parse_take_over
-from hatn_sim.simulators.sumo_replay_figures import Quantiles, boxes_touch
+from hatn_sim.simulators.sumo_replay_figures import Quantiles
 from hatn_sim.simulators.sumo_replay_match import LaneMatcher
+from hatn_sim.simulators.touching import boxes_touch, touching_pairs, touching_rows_of
 
 WARM_UP_FRAMES = 300
 
@@ -250,6 +254,78 @@ def test_a_parked_vehicle_and_pedestrians_are_counted_and_in_nobodys_way() -> No
         play(SumoReplay(replace(recording, played=frames), net_path, {"parked": None}))
 
 
+def test_who_is_near_no_lane_may_appear_whoever_the_first_edges_are_for(tmp_path: Path) -> None:
+    plain = {
+        "nod": "<nodes>"
+        + "".join(
+            f'<node id="{name}" x="{x}" y="{y}"/>'
+            for name, x, y in (("a", 0, 0), ("b", 100, 0), ("c", 200, 0), ("d", 100, 100))
+        )
+        + "</nodes>",
+        "edg": '<edges><edge id="0_foot" from="d" to="b" allow="pedestrian"/>'
+        '<edge id="1_rail" from="c" to="d" allow="tram"/>'
+        '<edge id="x" from="a" to="b"/><edge id="y" from="b" to="c"/></edges>',
+    }
+    for name, text in plain.items():
+        (tmp_path / f"{name}.xml").write_text(text)
+    net_path = tmp_path / "path.net.xml"
+    words = [find_netconvert(), "-n", tmp_path / "nod.xml", "-e", tmp_path / "edg.xml"]
+    subprocess.run([*words, "-o", net_path], check=True, capture_output=True)
+    places = {name: (20.0 * k, -1.6) for k, name in enumerate(("one", "two", "three"), 1)}
+    places |= {"car": (60.0, 50.0), "bus": (70.0, 60.0)}
+    frames = [
+        Frame(
+            replace(
+                scene_of(0.1 * k, {n: (x + k, y, 0.0, 10.0) for n, (x, y) in places.items()}),
+                kind=np.array([Kind.CAR, Kind.CAR, Kind.CAR, Kind.CAR, Kind.BUS]),
+            ),
+            Truth((None,) * 5),
+            done=k == 20,
+        )
+        for k in range(21)
+    ]
+    replay = SumoReplay(Played([], frames), net_path)
+    assert [frame.scene.ids for frame in play(replay)] == [tuple(places)] * 21
+    fidelity = replay.fidelity
+    assert (fidelity.n, fidelity.outside, fidelity.lost) == (5 * 21, 2 * 21, 0)
+    assert fidelity.position_m_max is not None and fidelity.position_m_max < 1e-6
+
+
+def test_all_of_a_recordings_beginning_are_released_where_they_are() -> None:
+    recording, net_path = recorded("roundabout8")
+    played = recording.played[50:]  # with some close behind others
+    replay = SumoReplay(replace(recording, played=played), net_path, react_from_s=0.0)
+    first = play(replay, 2)[0].scene
+    row_of = {name: row for row, name in enumerate(first.ids)}
+    assert row_of.keys() == set(played[0].scene.ids) and len(row_of) > 5
+    rows = [row_of[name] for name in played[0].scene.ids]
+    np.testing.assert_allclose(first.xy_m[rows], played[0].scene.xy_m, atol=1e-6)
+    assert replay.divergence.held_back == 0
+
+
+def test_signals_are_shown_as_recorded_where_nobody_heeds_others() -> None:
+    recording, net_path = recorded("tjunction", 30)
+    gate = recording.lanes[0]
+    lanes = [replace(gate, signals={gate.successors[0]: 0})] if gate.successors else []
+    turned = [
+        replace(f, scene=replace(f.scene, signal_closed=np.array([k % 7 < 3])))
+        for k, f in enumerate(recording.played)
+    ]
+    of_this_net = SumoReplay(replace(recording, played=turned, lanes=recording.lanes), net_path)
+    shown = play(of_this_net)
+    assert [f.scene.signal_closed.tolist() for f in shown] == [
+        f.scene.signal_closed.tolist() for f in turned
+    ]
+    # The net has no signals: those of another net are not shown, nor where somebody drives.
+    for replay in (
+        SumoReplay(
+            replace(recording, played=turned, lanes=[*recording.lanes[1:], *lanes]), net_path
+        ),
+        SumoReplay(replace(recording, played=turned), net_path, react_from_s=33.0),
+    ):
+        assert all(len(frame.scene.signal_closed) == 0 for frame in play(replay))
+
+
 def test_recordings_one_after_the_other_with_nobody_between() -> None:
     recording, net_path = recorded("tjunction")
     part = recording.played[:40]
@@ -299,6 +375,13 @@ def test_what_is_asked_wrongly_is_said_in_one_line(tmp_path: Path) -> None:
     assert "do not fit" in text and "netOffset" in text
     away_m = float(text.split("vehicles are ")[1].split(" m")[0])
     assert 400.0 < away_m < 800.0
+    # Of another place, though its lanes are near: it is said how many are beside them.
+    beside = replace(
+        recording, played=[replace(f, scene=moved(f.scene, (0.0, 4.5))) for f in recording.played]
+    )
+    replay = SumoReplay(beside, net_path)
+    play(replay, 1)
+    assert any("beside every lane of tjunction.net.xml" in notice for notice in replay.notices)
     assert "no vehicle 'nobody'" in said(SumoReplay(recording, net_path, {"nobody": None}))
     assert "cannot be taken over at" in said(SumoReplay(recording, net_path, {some: last_s + 9}))
     assert "keeps to its recording" in said(SumoReplay(recording, net_path), command=some)
@@ -337,6 +420,17 @@ def test_boxes_touch_as_polygons_intersect() -> None:
     first, second = np.triu_indices(80, 1)
     expected = [outlines[i].intersects(outlines[j]) for i, j in zip(first, second, strict=True)]
     assert boxes_touch(xy, yaw, size, first, second).tolist() == expected
+
+
+def test_pairs_of_some_are_those_of_all_that_have_one_of_them() -> None:
+    rng = np.random.default_rng(1)
+    scene = scene_of(0.0, {f"v{k}": tuple(rng.uniform(-12, 12, 4)) for k in range(40)})
+    of = np.arange(40) % 3 == 0
+    rows = touching_rows_of(scene, of)
+    assert all(of[one] for one, _ in rows) and len(rows) > 10
+    marked = {name for name, is_marked in zip(scene.ids, of, strict=True) if is_marked}
+    expected = [pair for pair in touching_pairs(scene) if marked & set(pair)]
+    assert sorted(tuple(sorted((scene.ids[i], scene.ids[j]))) for i, j in rows) == expected
 
 
 def test_quantiles_against_numpy() -> None:

@@ -58,10 +58,16 @@ def main(arguments: argparse.Namespace) -> int:
     """Time and print."""
     from hatn_sim.bench import bench
     from hatn_sim.config import load_scenario
+    from hatn_sim.errors import InputError
     from hatn_sim.hatn.predictor import Hatn
     from hatn_sim.resources import weights_dir
 
     scenario = load_scenario(arguments.scene)
+    if scenario.simulator != "sumo":
+        raise InputError(
+            f"--scene {arguments.scene}: times are told beside SUMO's bare step; expected a scene "
+            f"simulated by SUMO, found {scenario.simulator}; choose another scene"
+        )
     if arguments.scaling:
         return _scaling(arguments, scenario)
     predictor = Hatn(arguments.weights or weights_dir() / "hatn.safetensors")

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
+SIMULATORS_OWN: Final = "sumo_driver"
+"""The agent that leaves a vehicle to the simulator's driver."""
 
 
 def seconds(text: str) -> float:
@@ -94,12 +96,13 @@ def add_driving(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drive",
         metavar="ID[@S],ID",
-        help="vehicles that --agent drives; recorded ones are taken over, from S seconds on",
+        help="vehicles that --agent drives, from S seconds of the scene's clock on (default: from "
+        "their appearance on); recorded ones are taken over",
     )
     parser.add_argument(
         "--agent",
         metavar="NAME",
-        default="sumo_driver",
+        default=SIMULATORS_OWN,
         help="sumo_driver (default: the simulator's own driver), constant_speed, or your own as "
         "module:Class",
     )
@@ -124,6 +127,8 @@ def with_driving(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     from hatn_sim.config import ReplaySource
     from hatn_sim.errors import InputError
 
+    if arguments.drive is None and arguments.agent != SIMULATORS_OWN:
+        raise InputError(f"--agent {arguments.agent} drives nobody; add --drive ID")
     if arguments.net is None:
         if arguments.react_from is not None:
             raise InputError(f"--react-from {arguments.react_from:g} goes with --net; add it")
@@ -173,20 +178,25 @@ def chosen_seed(arguments: argparse.Namespace, scenario: Scenario) -> int | None
     """The seed of the traffic; None where it is recorded."""
     from hatn_sim.errors import InputError
 
-    if scenario.recorded is None:
-        return 1 if arguments.seed is None else int(arguments.seed)
-    if scenario.recorded.replay is not None:
+    recorded = scenario.recorded
+    if recorded is not None and arguments.lines == "route" and recorded.map_path is not None:
+        raise InputError("--lines route: recorded tracks know no routes; leave it out")
+    if recorded is None or recorded.replay is not None:
         return 1 if arguments.seed is None else int(arguments.seed)
     if arguments.seed is not None:
         raise InputError(f"--seed {arguments.seed}: recorded traffic has no seed; leave it out")
-    if arguments.lines == "route" and scenario.recorded.map_path is not None:
-        raise InputError("--lines route: recorded tracks know no routes; leave it out")
     return None
 
 
-def default_warm_up_s(scenario: Scenario) -> float:
-    """A shipped scene begins empty; recorded traffic does not, and a user's may be long."""
-    return 0.0 if scenario.is_user_config or scenario.recorded is not None else WARM_UP_S
+def default_warm_up_s(scenario: Scenario, drive: str | None = None) -> float:
+    """A shipped scene begins empty; recorded traffic does not, and a user's may be long.
+
+    With `drive`, vehicles to be driven, neither is there time in highway-env, whose ego is on the
+    road from the beginning and soon gone.
+    """
+    if scenario.is_user_config or scenario.recorded is not None:
+        return 0.0
+    return 0.0 if scenario.highway is not None and drive is not None else WARM_UP_S
 
 
 def add_traffic(parser: argparse.ArgumentParser) -> None:

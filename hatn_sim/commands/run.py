@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hatn_sim.commands.options import (
+    SIMULATORS_OWN,
     add_driving,
     add_scene,
     add_traffic,
@@ -33,8 +34,9 @@ from hatn_sim.commands.options import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hatn_sim.datatypes import Advice, Agent, Frame, Predictor, Score, Simulator
+    from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
     from hatn_sim.log import Run, RunWriter
+    from hatn_sim.loop import Driver
     from hatn_sim.simulators.sumo_replay_figures import Divergence, Fidelity
 
 EXAMPLES = """examples:
@@ -47,7 +49,6 @@ EXAMPLES = """examples:
 DURATION_S = 60.0
 STEP_S = 0.1
 REPLAY_FILE = "replay.json"
-SIMULATORS_OWN = "sumo_driver"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--warm-up",
         type=seconds_or_none,
         metavar="S",
-        help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours)",
+        help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours "
+        "and where vehicles of highway-env are driven)",
     )
     parser.add_argument("--seed", type=int, help="of the traffic (default: 1)")
     parser.add_argument(
@@ -120,13 +122,13 @@ def main(arguments: argparse.Namespace) -> int:
     scenario = with_driving(chosen_scenario(arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     if arguments.warm_up is None:
-        arguments.warm_up = default_warm_up_s(scenario)
+        arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
     if arguments.duration is None and scenario.recorded is None:
         arguments.duration = DURATION_S
     out: Path = arguments.out or _free_folder(scenario.name)
     _check_out(out)
     predictors = _load_predictors(arguments)
-    agents = _load_agents(arguments)
+    drivers = _load_drivers(arguments)
     header = make_header(arguments, scenario, predictors)
     where = ""
     try:
@@ -139,7 +141,7 @@ def main(arguments: argparse.Namespace) -> int:
             with RunWriter(out, header) as writer:
                 where = f"; the log up to here is in {out}"
                 write_road(out / ROAD_FILE, simulator.road.lanes.values())
-                done = _simulate(arguments, simulator, first, predictors, agents, writer)
+                done = _simulate(arguments, simulator, first, predictors, drivers, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})
         return _finish(arguments, out, done, started)
@@ -185,13 +187,22 @@ def _load_predictors(arguments: argparse.Namespace) -> list[Predictor]:
     return predictors
 
 
-def _load_agents(arguments: argparse.Namespace) -> dict[str, Agent]:
-    """The drivers of the vehicles of --drive; SUMO's own is none of ours."""
+def _load_drivers(arguments: argparse.Namespace) -> dict[str, Driver]:
+    """The drivers of the vehicles of --drive; the simulator's own is none of ours."""
+    from hatn_sim.loop import Driver
     from hatn_sim.plugins import load_agent
 
-    agent = load_agent(arguments.agent)
-    vehicles = [word.partition("@")[0] for word in names(arguments.drive or "")]
-    return {} if arguments.agent == SIMULATORS_OWN else dict.fromkeys(vehicles, agent)
+    agent, driven = load_agent(arguments.agent), _driven(arguments)
+    if arguments.agent == SIMULATORS_OWN:
+        return {}
+    return {name: Driver(agent, from_s) for name, from_s in driven.items()}
+
+
+def _driven(arguments: argparse.Namespace) -> dict[str, float | None]:
+    """The vehicles of --drive, and from when on."""
+    from hatn_sim.simulators.sumo_replay import parse_take_over
+
+    return parse_take_over(arguments.drive or "")
 
 
 @dataclass(frozen=True)
@@ -209,7 +220,7 @@ def _simulate(
     simulator: Simulator,
     frame: Frame,
     predictors: Sequence[Predictor],
-    agents: Mapping[str, Agent],
+    drivers: Mapping[str, Driver],
     writer: RunWriter,
 ) -> Simulated:
     from hatn_sim.commands.progress import Progress
@@ -228,7 +239,7 @@ def _simulate(
             writer.write(index, frame, advice)
             progress.show(index + 1, len(frame.scene.ids))
 
-        frames = run(simulator, advisers, frame, total or sys.maxsize, write, agents)
+        frames = run(simulator, advisers, frame, total or sys.maxsize, write, drivers)
     seconds = time.monotonic() - began
     if total is not None and frames < total and not arguments.quiet:
         print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
@@ -251,9 +262,10 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     write_scores(out, scores)
     taken_s = done.seconds + time.monotonic() - scoring
     pictures = [] if arguments.no_picture else _draw(logged, out, arguments.quiet)
-    never = [name for name in arguments.egos or () if name not in logged.ids]
-    if never:
-        print(f"hatn-sim: never seen in this run: --egos {','.join(never)}", file=sys.stderr)
+    for option, wanted in (("--egos", arguments.egos or ()), ("--drive", _driven(arguments))):
+        never = [name for name in wanted if name not in logged.ids]
+        if never:
+            print(f"hatn-sim: never seen in this run: {option} {','.join(never)}", file=sys.stderr)
     replayed = _write_replay(logged, out, done.replay)
     if arguments.json:
         print(scores_json([*scores, *replayed, *_rates(logged, done.frames, taken_s)]))

@@ -77,6 +77,12 @@ def main(arguments: argparse.Namespace) -> int:
                 f"--out {out}: {file.name} exists already; choose another name or remove it"
             )
     for scene in arguments.scenes:
+        simulator = load_scenario(scene).simulator
+        if simulator != "sumo":
+            raise InputError(
+                f"--scenes {scene}: training simulates with SUMO, found a scene of {simulator}; "
+                "choose another scene"
+            )
         for risk in arguments.risks:
             load_scenario(scene, arguments.density, risk)
 

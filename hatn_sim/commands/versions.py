@@ -7,7 +7,17 @@ from importlib import metadata
 
 import hatn_sim
 
-PACKAGES = ("libsumo", "numpy", "scipy", "torch", "pyarrow", "safetensors", "matplotlib")
+PACKAGES = (
+    "libsumo",
+    "highway-env",
+    "numpy",
+    "scipy",
+    "pyproj",
+    "torch",
+    "pyarrow",
+    "safetensors",
+    "matplotlib",
+)
 
 
 def installed() -> dict[str, str | None]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hatn_sim.datatypes import FloatArray, Kind, Lane
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.sumo_net_plan import NetPlan, PlannedConnection, PlannedEdge, plan_net
+from hatn_sim.recordings.sumo_net_plan import NetPlan, PlannedConnection, plan_net
 from hatn_sim.simulators.sumo_config import first_error
 from hatn_sim.simulators.sumo_lanes import KIND_OF_CLASS
 
@@ -132,11 +132,6 @@ def connection_tree(plan: NetPlan) -> Element:
         if edge.id not in sources:
             SubElement(root, "connection", {"from": edge.id})
     return root
-
-
-def lane_name(edge: PlannedEdge, index: int) -> str:
-    """SUMO's name of a lane of an edge."""
-    return f"{edge.id}_{index}"
 
 
 def _connection(connection: PlannedConnection) -> dict[str, str]:

@@ -22,8 +22,8 @@ def check_pool(runs: Sequence[Run]) -> None:
     """Refuse to pool runs of one scene whose scores are not of the same thing.
 
     Raises:
-        InputError: two runs differ in predictors, lines, density, risk, map, weights or adaptation,
-            or are one run, given twice.
+        InputError: two runs differ in predictors, lines, density, risk, map, weights, adaptation or
+            in who drove, or are one run, given twice.
     """
     first = runs[0]
     known: dict[tuple[Any, str], Run] = {}
@@ -54,7 +54,12 @@ def _made_with(run: Run) -> dict[str, Any]:
     """What has to be the same in runs that are pooled."""
     settings = run.header.get("settings", {})
     weights = run.header.get("weights_sha256", {})
+    drive = settings.get("drive")
     return {
+        "drive": drive,
+        "agent": None if drive is None else settings.get("agent"),
+        "net": settings.get("net"),
+        "react_from_s": settings.get("react_from_s"),
         "lines": "route" if run.by_route else "inferred",
         "density": settings.get("density"),
         "risk": settings.get("risk"),

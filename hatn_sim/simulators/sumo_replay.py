@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -27,7 +28,7 @@ from hatn_sim.simulators.sumo_replay_figures import (
 from hatn_sim.simulators.sumo_replay_frame import overlaps_of, shown_scene, shown_truth
 from hatn_sim.simulators.sumo_replay_match import LaneMatcher
 from hatn_sim.simulators.sumo_replay_plan import Cast, type_of
-from hatn_sim.simulators.sumo_replay_survey import Survey, survey
+from hatn_sim.simulators.sumo_replay_survey import BESIDE_SHARE, Survey, survey
 
 WORKER: Final = "hatn_sim.simulators.sumo_replay_worker"
 DRIVERS: Final = {
@@ -62,7 +63,8 @@ class SumoReplay:
 
     The run ends with the recording. `fidelity` and `divergence` say how far to trust it; both
     begin anew at every `reset`. The net's own signals run by their programme, in phase with the
-    recording's clock. A context manager.
+    recording's clock if it is of fixed times; where nobody is taken over and the recording knows
+    the signals of this net, a `Frame` shows them as recorded. A context manager.
     """
 
     def __init__(
@@ -96,6 +98,7 @@ class SumoReplay:
         self._road: Road | None = None
         self._survey: Survey | None = None
         self._lanes_are_recorded = False  # the recording's routes are of the net's lanes
+        self._signals_are_recorded = False  # and so are its signals
         self._start_anew()
 
     def _start_anew(self) -> None:
@@ -159,8 +162,12 @@ class SumoReplay:
             if self._survey is None:
                 assert self._lanes is not None
                 self._survey = survey(self.recording, LaneMatcher(self._lanes), self.net_path)
-                known = {lane.id for lane in self._lanes}
-                self._lanes_are_recorded = all(lane.id in known for lane in self.recording.lanes)
+                known = {lane.id: lane.signals for lane in self._lanes}
+                lanes = self.recording.lanes
+                self._lanes_are_recorded = all(lane.id in known for lane in lanes)
+                self._signals_are_recorded = all(
+                    lane.id in known and lane.signals == known[lane.id] for lane in lanes
+                )
             self._cast = Cast(self.name, self._survey, self._take_over, self._react_from_s)
         except BaseException:
             self.close()
@@ -194,6 +201,12 @@ class SumoReplay:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def _keeps_signals(self) -> bool:
+        """Nobody drives who would heed SUMO's signals, and the recorded ones are of this net."""
+        nobody_drives = not self._take_over and self._react_from_s is None
+        return nobody_drives and self._signals_are_recorded
+
     def _own_notices(self) -> list[str]:
         notices: list[str] = []
         if self._survey is not None and (strays := self._survey.without_way()):
@@ -201,7 +214,14 @@ class SumoReplay:
                 f"{strays:,} of {len(self._survey.stays):,} recorded vehicles are near no lane of "
                 f"{self.net_path.name} that they may use: they can only be shown as recorded"
             )
-        if any(lane.gate is Gate.SIGNAL for lane in self._lanes or ()):
+        if self._survey is not None and self._survey.beside_share > BESIDE_SHARE:
+            notices.append(
+                f"{100.0 * self._survey.beside_share:.0f} % of the recorded positions are beside "
+                f"every lane of {self.net_path.name}: check that it is the net of this place, "
+                "netOffset in its <location> included"
+            )
+        has_signals = any(lane.gate is Gate.SIGNAL for lane in self._lanes or ())
+        if has_signals and not self._keeps_signals:
             notices.append(
                 f"signals of {self.net_path.name} run by their own programme, by the recording's "
                 "clock: recorded vehicles do not heed them, released ones do"
@@ -272,6 +292,8 @@ class SumoReplay:
         if not self._lanes_are_recorded:
             truth = replace(truth, routes=(None,) * len(shown.ids))
         frame = Frame(shown, truth, recorded.done)
+        if self._keeps_signals:
+            frame = replace(frame, scene=replace(shown, signal_closed=scene.signal_closed))
         self._shown = frame.scene
         return frame
 
@@ -329,12 +351,18 @@ def parse_take_over(text: str) -> dict[str, float | None]:
     wanted: dict[str, float | None] = {}
     for word in filter(None, (part.strip() for part in text.split(","))):
         vehicle, at, seconds = word.rpartition("@")
+        name = vehicle if at else word
         try:
-            wanted[vehicle if at else word] = float(seconds) if at else None
+            at_s = float(seconds) if at else None
         except ValueError:
+            at_s = math.nan
+        if at_s is not None and not math.isfinite(at_s):
             raise InputError(
                 f"take-over {word!r}: expected ID or ID@SECONDS, found {seconds!r} for the seconds"
-            ) from None
+            )
+        if name in wanted:
+            raise InputError(f"take-over {word!r}: {name!r} is named twice; name it once")
+        wanted[name] = at_s
     return wanted
 
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from hatn_sim.datatypes import Frame, Route, Scene, Truth
 from hatn_sim.simulators.sumo_messages import RawFrame
-from hatn_sim.simulators.sumo_replay_figures import Overlap, touching_pairs
+from hatn_sim.simulators.sumo_replay_figures import Overlap
 from hatn_sim.simulators.sumo_replay_plan import Look
+from hatn_sim.simulators.touching import touching_rows_of
 
 
 def shown_scene(
@@ -77,5 +78,5 @@ def overlaps_of(shown: Scene, driven: Collection[str]) -> list[Overlap]:
     of = np.array([name in driven for name in shown.ids], dtype=np.bool_)
     return [
         Overlap(shown.time_s, shown.ids[first], shown.ids[second], other_recorded=not of[second])
-        for first, second in touching_pairs(shown, of)
+        for first, second in touching_rows_of(shown, of)
     ]

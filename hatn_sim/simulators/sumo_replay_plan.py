@@ -11,8 +11,8 @@ import numpy as np
 from hatn_sim.datatypes import Command, FloatArray, IntArray, Kind, Route, Scene
 from hatn_sim.errors import InputError, nearest
 from hatn_sim.simulators.sumo_messages import Newcomer, ReplayFrame, ReplayStep
-from hatn_sim.simulators.sumo_replay_figures import boxes_touch
 from hatn_sim.simulators.sumo_replay_survey import Survey, front_xy_m
+from hatn_sim.simulators.touching import boxes_touch
 
 ENTRY_GAP_M: Final = 2.0
 ENTRY_GAP_S: Final = 1.0
@@ -191,11 +191,12 @@ class Cast:
     def _enter(self, before: Scene | None) -> list[Held]:
         """The waiting vehicles that have room, which drive from now on.
 
-        At its appearance a vehicle heeds only those that drive: the others left it room.
+        At its appearance a vehicle heeds only those that drive: the others left it room, those
+        that appear with it included (everybody does at the beginning of a recording).
         """
         entering: list[Held] = []
         for vehicle, held in list(self.held.items()):
-            others = [other.box[None] for other in entering]
+            others = [other.box[None] for other in entering if held.waited or other.waited]
             if before is not None:
                 heeded = [held.waited or name in self.driven for name in before.ids]
                 boxes = np.column_stack([before.xy_m, before.yaw_rad, before.size_m])

@@ -19,6 +19,8 @@ FIT_POINTS: Final = 5000
 """Points after which the fit is judged, so that a misfit is told early."""
 FIT_M: Final = 3.0
 """Median distance to the nearest centre line beyond which net and recording do not fit."""
+BESIDE_SHARE: Final = 0.1
+"""Share of the positions beside every lane from which on that is said."""
 
 
 @dataclass
@@ -33,9 +35,12 @@ class Stay:
 class Survey:
     """What the whole recording says of its vehicles. `stays` are by id, in order of time."""
 
-    def __init__(self, matcher: LaneMatcher, stays: dict[str, list[Stay]]) -> None:
+    def __init__(
+        self, matcher: LaneMatcher, stays: dict[str, list[Stay]], beside_share: float
+    ) -> None:
         self.matcher = matcher
         self.stays = stays
+        self.beside_share = beside_share  # of the positions looked at, beside every lane
 
     def match_at(self, vehicle: str, frame: int) -> Match | None:
         """The match of the stay that a frame belongs to."""
@@ -70,7 +75,7 @@ def survey(recording: Recording, matcher: LaneMatcher, net_path: Path) -> Survey
     tracks: dict[str, list[tuple[int, float, float, float]]] = {}
     kinds: dict[str, Kind] = {}
     fit: list[FloatArray] = []
-    points = 0
+    points = beside = 0
 
     def finish(vehicle: str) -> None:
         rows = np.array(tracks.pop(vehicle))
@@ -93,16 +98,19 @@ def survey(recording: Recording, matcher: LaneMatcher, net_path: Path) -> Survey
                 stays.setdefault(name, []).append(Stay(scene.time_s, scene.time_s, None))
             tracks[name].append((index, *at, float(scene.yaw_rad[row])))
             stays[name][-1].last_s = scene.time_s
-        if points < FIT_POINTS and len(front):
+        if not len(front):
+            continue
+        beside += int(np.count_nonzero(~matcher.distance_m(front)[1]))
+        was, points = points, points + len(front)
+        if was < FIT_POINTS:
             fit.append(front)
-            points += len(front)
             if points >= FIT_POINTS:
                 _check_fit(np.concatenate(fit), matcher, recording.name, net_path)
     if 0 < points < FIT_POINTS:
         _check_fit(np.concatenate(fit), matcher, recording.name, net_path)
     for vehicle in list(tracks):
         finish(vehicle)
-    return Survey(matcher, stays)
+    return Survey(matcher, stays, beside / max(points, 1))
 
 
 def _sampled(frames: Iterator[Frame]) -> Iterator[tuple[int, Scene]]:

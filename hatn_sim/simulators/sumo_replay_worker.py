@@ -36,10 +36,8 @@ class ReplaySimulation:
 
     def __init__(self, options: Sequence[str]) -> None:
         self._simulation = Simulation(options)
-        self._some_edge = next(
-            edge for edge in libsumo.edge.getIDList() if not is_connection(edge)
-        )  # for vehicles whose way is not known
         self._routes: dict[Route, str] = {}
+        self._beginnings: dict[str, tuple[str, str]] = {}
 
     @property
     def lane_table(self) -> LaneTable:
@@ -87,9 +85,24 @@ class ReplaySimulation:
         try:
             vehicle.add(newcomer.id, self._route_of(newcomer.edges), newcomer.type, depart="now")
         except libsumo.TraCIException:  # a way that is not known, or forbidden to its class
-            vehicle.add(newcomer.id, self._route_of((self._some_edge,)), newcomer.type)
+            type_id, edge = self._beginning(newcomer.type)
+            vehicle.add(newcomer.id, self._route_of((edge,)), type_id)
         vehicle.setLength(newcomer.id, newcomer.length_m)
         vehicle.setWidth(newcomer.id, newcomer.width_m)
+
+    def _beginning(self, type_id: str) -> tuple[str, str]:
+        """A type and an edge for a vehicle whose way is not known, its own type if that may drive.
+
+        SUMO lets nobody begin where its class may not be; nobody is seen there, all are moved.
+        """
+        if type_id not in self._beginnings:
+            of_ours = (name for name in libsumo.vehicletype.getIDList() if "DEFAULT" not in name)
+            self._beginnings[type_id] = next(
+                (name, edge)
+                for name in (type_id, *of_ours)
+                if (edge := _edge_for(libsumo.vehicletype.getVehicleClass(name))) is not None
+            )
+        return self._beginnings[type_id]
 
     def _route_of(self, edges: Route) -> str:
         if edges not in self._routes:
@@ -97,6 +110,18 @@ class ReplaySimulation:
             libsumo.route.add(name, edges)
             self._routes[edges] = name
         return self._routes[edges]
+
+
+def _edge_for(vehicle_class: str) -> str | None:
+    """The first edge that vehicles of a class may drive on."""
+    for lane in libsumo.lane.getIDList():
+        edge: str = libsumo.lane.getEdgeID(lane)
+        allowed = libsumo.lane.getAllowed(lane)
+        # SUMO says nothing both where all are allowed and where nobody is.
+        all_may = not allowed and not libsumo.lane.getDisallowed(lane)
+        if not is_connection(edge) and (all_may or vehicle_class in allowed):
+            return edge
+    return None
 
 
 def _release(name: str, edges: Route) -> bool:
