@@ -127,7 +127,10 @@ def _judge_run(
             if frame.done or index == total - 1:
                 break
             frame = simulator.step()
-    return judge.samples()
+    samples = judge.samples()
+    if not len(samples.vehicle) and not quiet:
+        print(f"hatn-sim: {title}: no vehicle came near a junction", file=sys.stderr)
+    return samples
 
 
 def _print(scores: Mapping[str, Sequence[Score]], samples: Mapping[str, LineSamples]) -> None:
