@@ -22,11 +22,12 @@ from conftest import crossing_lanes
 from hatn_sim import cli
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Lane
+from hatn_sim.geometry import arc_length_m
 from hatn_sim.road import Road
 from hatn_sim.score.oracle import Moment, Oracle, Outcome
 from hatn_sim.score.oracle_distances import DistanceErrors, merge_begin_m
 from hatn_sim.score.oracle_lanes import junction_spans, read_junctions
-from hatn_sim.score.oracle_scores import Tally
+from hatn_sim.score.oracle_scores import Tally, explain, way_xy_m
 from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lanes import LaneTable, Link, junction_of
 from hatn_sim.simulators.sumo_messages import JunctionFoes, LaneFoes
@@ -205,7 +206,10 @@ def test_what_sumo_owes_us_is_no_class_left_out() -> None:
     """The one going north is announced: it is listed for somebody, though not for the other."""
     at = Crossing("east", "north", foes_of((":c_0_0", ":c_1_0")))
     himself = (1, 1, ":c_0_0", ":c_1_0", 1.0, 1.0, 2.0, 2.0)
-    assert outcomes(at.compare((80.0, 70.0), (himself,))) == [Outcome.ONLY_OURS]
+    another = (0, 0, ":c_1_0", ":c_0_0", 1.0, 1.0, 2.0, 2.0)
+    assert outcomes(at.compare((80.0, 70.0), (himself, another))) == [Outcome.ONLY_OURS]
+    # The one who should list it lists nobody at all.
+    assert outcomes(at.compare((80.0, 70.0), (himself,))) == [Outcome.NO_LIST]
 
 
 def test_what_only_sumo_lists() -> None:
@@ -269,6 +273,16 @@ def test_scores_by_hand() -> None:
     (first, second) = tally.disagreements()
     assert first[:2] == (Outcome.ONLY_SUMO, 2) and second[:2] == (Outcome.ONLY_OURS, 1)
     assert first[2] == ":c_0_0 and :c_1_0 come within 0.0 m of each other, at 90 degrees"
+
+
+def test_a_way_in_two_parts_is_explained_as_it_is_driven() -> None:
+    """Whatever the order of the lanes: names sort :c_10_0 before :c_2_0."""
+    nothing = foes_of()
+    for order in (lanes(), lanes()[::-1]):
+        found = read_junctions(order, nothing)
+        xy_m = way_xy_m(found, found.row[":c_2_0"])
+        np.testing.assert_allclose(arc_length_m(xy_m)[-1], 4.0 * np.pi, atol=0.2)
+        assert "come within 0.0 m" in explain(found, found.row[":c_2_0"], found.row[":c_0_0"])
 
 
 def test_sumo_is_not_asked_beyond_a_junction_without_logic() -> None:

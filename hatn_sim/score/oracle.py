@@ -57,6 +57,7 @@ class Outcome(IntEnum):
     RIGHT_OF_WAY_ONLY = 12
     HEAD_ON = 13
     NO_LOGIC = 14
+    NO_LIST = 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +145,10 @@ class Oracle:
         outcome[alone & ~(ours.here & ours.ahead & ~ours.head_on).any(axis=1)] = Outcome.HEAD_ON
         outcome[alone & lanes.cross_right_of_way(meetings.way)] = Outcome.RIGHT_OF_WAY_ONLY
         foes, can = lanes.are_foes(meetings.way), listable(lanes, meetings)
-        owed = (can & announced(lanes, moment.foes, meetings)[:, ::-1]).any(axis=1)
-        outcome[alone & foes & ~owed] = Outcome.UNANNOUNCED
+        owed = can & announced(lanes, moment.foes, meetings)[:, ::-1]
+        lists = np.isin(meetings.vehicle, moment.foes.vehicle[:, 0])
+        outcome[alone & foes & ~(owed & lists).any(axis=1)] = Outcome.NO_LIST
+        outcome[alone & foes & ~owed.any(axis=1)] = Outcome.UNANNOUNCED
         outcome[alone & foes & ~can.any(axis=1)] = Outcome.CUT_SHORT
         return outcome
 

@@ -31,6 +31,8 @@ MEANING: Final[Mapping[Outcome, str]] = {
     "announces to pass (not at a red light, not far off in a queue)",
     Outcome.CUT_SHORT: "ours and in SUMO's table of foes; its list ends before, at the first foe "
     "lane in the table that does not cross",
+    Outcome.NO_LIST: "ours and in SUMO's table of foes; the vehicle that should list the other "
+    "lists nobody at all (it leaves another junction, or has to change lanes)",
     Outcome.RIGHT_OF_WAY_ONLY: "ours and in SUMO's right of way between the approaches; its table "
     "of lanes inside the junction lacks them",
     Outcome.HEAD_ON: "ours: they drive against each other on one lane, of which SUMO knows nothing",
@@ -44,7 +46,7 @@ ERRORS: Final = (
 )
 MISSED: Final = ERRORS[:2]
 INVENTED: Final = ERRORS[2:]
-IN_TABLE: Final = (Outcome.UNANNOUNCED, Outcome.CUT_SHORT)
+IN_TABLE: Final = (Outcome.UNANNOUNCED, Outcome.CUT_SHORT, Outcome.NO_LIST)
 PREDICTOR: Final = "route"
 
 
@@ -112,14 +114,19 @@ def explain(lanes: JunctionLanes, one: int, other: int) -> str:
     """Two ways through a junction by name, how near they come and at which angle."""
     if min(one, other) < 0:
         return "outside junctions"
-    near_m, turned_deg = _nearest(_course(lanes, one), _course(lanes, other))
+    near_m, turned_deg = _nearest(way_xy_m(lanes, one), way_xy_m(lanes, other))
     names = f"{lanes.lanes[one].id} and {lanes.lanes[other].id}"
     return f"{names} come within {near_m:.1f} m of each other, at {turned_deg:.0f} degrees"
 
 
-def _course(lanes: JunctionLanes, way: int) -> FloatArray:
+def way_xy_m(lanes: JunctionLanes, way: int) -> FloatArray:
     """The centre line of a way, a point every 0.2 m."""
-    parts = [lanes.lanes[row].xy_m for row in np.flatnonzero(lanes.way == way).tolist()]
+    parts: list[FloatArray] = []
+    row = way
+    while row >= 0:
+        parts.append(lanes.lanes[row].xy_m)
+        after = (lanes.row.get(name, -1) for name in lanes.lanes[row].successors)
+        row = next((k for k in after if k >= 0 and lanes.way[k] == way), -1)
     return resample(np.concatenate(parts), 0.2)
 
 
