@@ -17,6 +17,8 @@ from hatn_sim.simulators.sumo_config import check_sumocfg
 
 DEFAULT_DENSITY = "normal"
 DEFAULT_RISK = "courteous"
+MOST_NAMED = 100_000
+"""Recordings or cases in one span of names."""
 SIMULATORS = ("sumo", "highway", "recorded")
 
 
@@ -121,7 +123,10 @@ def load_tracks(
         )
     if map_path is not None and not map_path.is_file():
         raise InputError(f"{map_path}: there is no such map; correct --map")
-    name = first.name.partition(".")[0] if len(paths) == 1 else first.resolve().parent.name
+    # Recordings 000, 001 ... of a place lie in a folder that is named after it.
+    is_numbered = re.match("(vehicle|pedestrian)_tracks_", first.name) is not None
+    is_place = len(paths) > 1 or is_numbered
+    name = first.resolve().parent.name if is_place else first.name.partition(".")[0]
     return Scenario(
         name=name,
         config_path=first,
@@ -226,7 +231,7 @@ def recording_names(text: str) -> tuple[str, ...]:
         first, dash, last = part.partition("-")
         if not dash:
             names.append(part)
-        elif first.isdigit() and last.isdigit() and int(first) <= int(last):
+        elif first.isdecimal() and last.isdecimal() and 0 <= int(last) - int(first) < MOST_NAMED:
             names += [f"{k:0{len(first)}d}" for k in range(int(first), int(last) + 1)]
         else:
             raise InputError(f"recordings: expected names like 000-004,017, found {part!r}")

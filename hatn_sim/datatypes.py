@@ -32,6 +32,8 @@ DT_S = 0.1
 """The tick: every simulator is run at 10 Hz (METHOD: history and horizon are at 10 Hz)."""
 HISTORY_FRAMES = 11
 """Frames that the networks see, now included (t-10 ... t)."""
+CASE_HISTORY_FRAMES = 10
+"""Frames that a case of the INTERACTION data set gives before its 3 s of future, now included."""
 TRACK_FRAMES = 41
 """Frames kept of every vehicle, now included: for line inference and adaptation."""
 HORIZON_FRAMES = 30
@@ -326,6 +328,11 @@ class Recording(Protocol):
 
     @property
     def notices(self) -> Sequence[str]: ...
+
+    @property
+    def ids_by(self) -> str:
+        """What ids name before their first colon: "recordings", "cases", or "" for nothing."""
+        ...
 
     @property
     def lanes(self) -> Sequence[Lane]: ...

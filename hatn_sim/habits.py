@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
+from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Lane
 from hatn_sim.road import Road
 
 RARE: Final = 0.05
@@ -64,9 +64,17 @@ def _turns_around(road: Road, lane_id: str, connection: str) -> bool:
     while lanes[name].is_connection and name not in seen:
         seen.add(name)
         name = next((one for one in lanes[name].successors if one in lanes), name)
-    before, after = lanes[lane_id].xy_m[-2:], lanes[name].xy_m[:2]
-    (dx, dy), (ex, ey) = (before[1] - before[0]).tolist(), (after[1] - after[0]).tolist()
+    before, after = _steps_m(lanes[lane_id]), _steps_m(lanes[name])
+    if not before or not after:
+        return False  # a lane of no length has no direction
+    (dx, dy), (ex, ey) = before[-1], after[0]
     return abs(math.atan2(dx * ey - dy * ex, dx * ex + dy * ey)) > TURNAROUND_RAD
+
+
+def _steps_m(lane: Lane) -> list[list[float]]:
+    """From point to point of a lane, without those of no length."""
+    step_m = np.diff(lane.xy_m, axis=0)
+    return step_m[(step_m != 0.0).any(axis=1)].tolist()
 
 
 def share_nats(habits: Habits, connection: IntArray) -> FloatArray:

@@ -114,15 +114,18 @@ def trajectories_from_rows(
 
 
 def samples(
-    trajectories: Trajectories, every_frames: int = SAMPLE_EVERY_FRAMES
+    trajectories: Trajectories,
+    every_frames: int = SAMPLE_EVERY_FRAMES,
+    history_frames: int = HISTORY_FRAMES,
 ) -> tuple[IntArray, IntArray]:
     """The samples of a run: (vehicle [S], frame [S]), by frame and then by vehicle.
 
-    Every vehicle in view for the 11 frames up to t and the 30 after it, at every fifth frame.
+    Every vehicle in view for the 11 frames up to t (`history_frames`) and the 30 after it, at
+    every fifth frame.
     """
     row = np.flatnonzero(trajectories.row_frame % every_frames == 0)
     vehicle, frame = trajectories.row_vehicle[row], trajectories.row_frame[row]
-    whole = trajectories.seen(vehicle, frame - HISTORY_FRAMES + 1, frame + HORIZON_FRAMES)
+    whole = trajectories.seen(vehicle, frame - history_frames + 1, frame + HORIZON_FRAMES)
     vehicle, frame = vehicle[whole], frame[whole]
     order = np.lexsort((vehicle, frame))
     return vehicle[order], frame[order]

@@ -19,8 +19,8 @@ class LaneIndex:
     """Pieces of polylines [P, 2] in a tree; they are numbered as they were given."""
 
     def __init__(self, lines_xy_m: Sequence[FloatArray]) -> None:
-        points = np.concatenate(lines_xy_m)
-        owner = np.repeat(np.arange(len(lines_xy_m)), [len(xy) for xy in lines_xy_m])
+        points = np.concatenate((np.zeros((0, 2)), *lines_xy_m))
+        owner = np.repeat(np.arange(len(lines_xy_m)), np.array([len(xy) for xy in lines_xy_m], int))
         first = np.flatnonzero(owner[1:] == owner[:-1])
         start, along = points[first], points[first + 1] - points[first]
         length_m = np.linalg.norm(along, axis=1)

@@ -34,7 +34,9 @@ LineSource = Literal["inferred", "route"]
 MAIN: Final = 0
 """The first adviser is the one whose advice is shown and acted on; the others are compared."""
 RELEASE_FRAMES: Final = 300
-"""Reference lines that nobody was near for so long are let go: long runs in cities stay small."""
+KEPT_LINES: Final = 4000
+"""With more reference lines than this, those that nobody was near for so long are let go: long runs
+in cities stay small."""
 ROUNDING_S: Final = 1e-6
 
 
@@ -196,7 +198,7 @@ def run(
                 states[k] = observe(adviser, states[k], frame)
         write(index, frame, advice)
         if index % RELEASE_FRAMES == 0:
-            road.release(idle_frames=RELEASE_FRAMES)
+            road.release(RELEASE_FRAMES, KEPT_LINES)
         done = index + 1
         if frame.done or done == frames:
             break

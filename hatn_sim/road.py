@@ -13,6 +13,7 @@ from hatn_sim.conflicts import CONFLICT_WIDTH_M, find_conflicts
 from hatn_sim.datatypes import (
     BoolArray,
     Conflict,
+    ConflictType,
     FloatArray,
     Gate,
     IntArray,
@@ -43,6 +44,8 @@ MAX_BRANCHES: Final = 16
 MAX_FORKS: Final = 24
 NEAR_M: Final = 3.5
 NEAR_RAD: Final = np.deg2rad(60.0)
+NEAR_JUNCTION_M: Final = 10.0
+"""Lines that cross have a junction at most this far away, both of them."""
 COARSE: Final = 8
 """Vertices apart for a first look along a line."""
 _WHOLE: Final = -1
@@ -193,7 +196,8 @@ class Road:
                 if name in self.lanes and kind in self.lanes[name].kinds and name not in route
             ]
             full = len(done) + len(open_routes) + len(ahead) > MAX_BRANCHES
-            if not ahead or length_m >= AHEAD_M or full:
+            # The first fork is never left out: no lane ahead would be a candidate.
+            if not ahead or length_m >= AHEAD_M or (full and route != prefix):
                 done.append(route)
                 continue
             open_routes += [
@@ -277,11 +281,13 @@ class Road:
         if len(self._touched):
             self._touched[line[line >= 0]] = self._clock
 
-    def release(self, idle_frames: int) -> None:
-        """Let go of the lines that were not touched for so many frames.
+    def release(self, idle_frames: int, keep: int = 0) -> None:
+        """Let go of the lines not touched for so many frames, if there are more than `keep` lines.
 
         Nobody may hold on to these: their numbers will mean other lines.
         """
+        if len(self._line_of) <= keep:
+            return
         old = self._touched[: len(self.lines)] < self._clock - idle_frames
         old[self._free] = False
         gone = np.flatnonzero(old)
@@ -376,7 +382,8 @@ class Road:
     def conflicts(self, first: int, second: int) -> tuple[Conflict, ...]:
         """The conflicts of two lines in order along the first, s on (first, second).
 
-        Where the road knows junctions, lines that touch outside of them pass over each other.
+        Where the road knows junctions, lines that touch outside of them pass over each other, and
+        so do lines that cross where only one of them has a junction: a bridge.
         """
         one, other = (
             slice(self.offset[k], self.offset[k] + self.count[k]) for k in (first, second)
@@ -389,11 +396,22 @@ class Road:
         return tuple(
             conflict
             for conflict in found
-            if any(
-                self._touches_junction(line, conflict.entry_s_m[side], conflict.exit_s_m[side])
-                for side, line in enumerate((first, second))
+            if any(self._at_junction((first, second), conflict, 0.0))
+            and (
+                conflict.type is ConflictType.MERGE
+                or all(self._at_junction((first, second), conflict, NEAR_JUNCTION_M))
             )
         )
+
+    def _at_junction(
+        self, lines: tuple[int, int], conflict: Conflict, within_m: float
+    ) -> tuple[bool, bool]:
+        """Whether a conflict of two lines is in a junction, or as near to one, on either line."""
+        one, other = (
+            self._touches_junction(line, entry - within_m, leave + within_m)
+            for line, entry, leave in zip(lines, conflict.entry_s_m, conflict.exit_s_m, strict=True)
+        )
+        return one, other
 
     @cached_property
     def _knows_junctions(self) -> bool:

@@ -2,7 +2,7 @@
 
 Refused with an InputError: document types (and with them every entity of one's own), gzip streams
 that expand beyond `MAX_RATIO`, documents larger than `MAX_DOCUMENT_BYTES` read as a whole, and
-records larger than `MAX_RECORD_BYTES` in a stream.
+records larger than `MAX_RECORD_BYTES` in a stream, or either with more than `MAX_TAGS`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ RATIO_FROM_BYTES: Final = 16 << 20
 """Below this many expanded bytes any ratio is harmless."""
 MAX_DOCUMENT_BYTES: Final = 256 << 20
 MAX_RECORD_BYTES: Final = 64 << 20
+MAX_TAGS: Final = 5_000_000
+"""An element of four bytes, `<a/>`, takes a hundred bytes of memory."""
 _BLOCK_BYTES: Final = 1 << 18
 _GZIP_MAGIC: Final = b"\x1f\x8b"
 
@@ -36,13 +38,14 @@ def parse_xml(path: Path) -> Element:
         InputError: not there, not well-formed, cut off, or refused as the module says.
     """
     parser = ElementTree.XMLParser()
-    size = 0
+    size = tags = 0
     for block in _checked_blocks(path):
         size += len(block)
-        if size > MAX_DOCUMENT_BYTES:
+        tags += block.count(b"<")
+        if size > MAX_DOCUMENT_BYTES or tags > MAX_TAGS:
             raise InputError(
-                f"{path}: expected at most {MAX_DOCUMENT_BYTES >> 20} MiB of XML, found more; "
-                "cut the file to the part that is needed"
+                f"{path}: expected at most {MAX_DOCUMENT_BYTES >> 20} MiB and {MAX_TAGS} tags of "
+                "XML, found more; cut the file to the part that is needed"
             )
         with _told(path):
             parser.feed(block)
@@ -60,13 +63,15 @@ def iterparse_xml(path: Path, root_tag: str) -> Iterator[Element]:
     """
     parser = ElementTree.XMLPullParser(("start", "end"))
     root: Element | None = None
-    depth = since_record = 0
+    depth = since_record = tags = 0
     for block in _checked_blocks(path):
         since_record += len(block)
-        if since_record > MAX_RECORD_BYTES:
+        tags += block.count(b"<")
+        if since_record > MAX_RECORD_BYTES or tags > MAX_TAGS:
             raise InputError(
-                f"{path}: expected records of at most {MAX_RECORD_BYTES >> 20} MiB in "
-                f"<{root_tag}>, found a larger one; this file is damaged or not of that format"
+                f"{path}: expected records of at most {MAX_RECORD_BYTES >> 20} MiB and {MAX_TAGS} "
+                f"tags in <{root_tag}>, found a larger one; this file is damaged or not of that "
+                "format"
             )
         with _told(path):
             parser.feed(block)
@@ -81,7 +86,7 @@ def iterparse_xml(path: Path, root_tag: str) -> Iterator[Element]:
                 continue
             depth -= 1
             if depth == 1 and root is not None:
-                since_record = 0
+                since_record = tags = 0
                 yield element
                 root.clear()
     with _told(path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hatn_sim import resources
-from hatn_sim.config import Scenario, load_scenario
+from hatn_sim.config import Scenario, load_scenario, recording_names
 from hatn_sim.errors import InputError
 from hatn_sim.simulators.sumo_config import first_error, read_sumocfg, start_options
 
@@ -260,3 +260,10 @@ def test_resources_of_a_clone_and_of_a_wheel(
     (package / "hatn" / "weights").rmdir()
     with pytest.raises(InputError, match="expected the shipped weights here"):
         resources.weights_dir()
+
+
+def test_names_of_recordings_are_spelled_out() -> None:
+    assert recording_names("000-002, 7,001") == ("000", "001", "002", "7")
+    for text in ("5-2", "a-3", "²-³", "0-9999999999"):
+        with pytest.raises(InputError, match="expected names like 000-004,017, found"):
+            recording_names(text)

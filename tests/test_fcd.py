@@ -350,6 +350,10 @@ FAULTS = {
         "".join(steps([time_s], x=13.4 + 1e-5 * time_s) for time_s in tenths(0, 30)),
         "vehicles that move 1e-06 times as far .* without --fcd-output.geo",
     ),
+    "a slip in the times": (
+        steps(tenths(0, 10)) + steps([4000.0], ("later",)),
+        r"timestep 4000.0*: expected pauses of at most 3600 s, found nobody for 3999 s",
+    ),
     "kmh": (steps(tenths(0, 30), speed=36), "move 0.28 times as far"),
 }
 

@@ -117,6 +117,16 @@ def test_samples_have_eleven_frames_behind_and_thirty_ahead() -> None:
     ]
 
 
+def test_samples_of_cases_have_ten_frames_behind() -> None:
+    # A case of 40 frames, its present on a multiple of five; another that came a frame later.
+    tracks = trajectories(
+        straight(0.0, 1.0, first=1, last=40), straight(0.0, 1.0, first=2, last=40)
+    )
+    vehicle, frame = samples(tracks, history_frames=10)
+    assert list(zip(vehicle.tolist(), frame.tolist(), strict=True)) == [(0, 10)]
+    assert [len(index) for index in samples(tracks)] == [0, 0]
+
+
 def test_samples_need_an_unbroken_view() -> None:
     frames, xy_m = straight(0.0, 1.0)
     seen = frames != 100

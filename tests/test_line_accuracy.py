@@ -139,6 +139,17 @@ def a_run() -> LineSamples:
     )
 
 
+def test_a_line_under_the_number_of_another_has_its_own_passages() -> None:
+    road = fork()
+    book = PassageBook(road, edge)
+    straight = road.line(STRAIGHT)
+    assert [one.exit for one in book.passages(straight)] == ["out"]
+    road.touch(np.array([-1]))
+    road.release(idle_frames=0)
+    assert road.line(LEFT) == straight
+    assert [one.exit for one in book.passages(straight)] == ["left"]
+
+
 def test_scores_by_hand() -> None:
     scores = {score.measure: score for score in line_scores(a_run(), "here")}
     found = {name.removeprefix("line_"): (s.value, s.n) for name, s in scores.items()}
@@ -203,6 +214,18 @@ def test_the_command_prints_tables(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "tjunction: inferred lines that are right" in printed
     assert "inside a junction" in printed
     assert "metres to the junction" in printed
+
+
+def test_a_run_that_is_over_before_the_first_sample(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    street = str(Path(__file__).parent / "nets" / "street.sumocfg")
+    over = arguments(tmp_path, scenes=(street,), warm_up=3000.0, json=False, quiet=False)
+    assert evaluate_lines.main(over) == 0
+    printed = capsys.readouterr()
+    assert "no vehicle came near a junction" in printed.err
+    assert "inside a junction" in printed.out and "0.0 %" not in printed.out
+    assert (tmp_path / "out" / "lines.png").exists()
 
 
 def test_recorded_tracks_are_left_out(tmp_path: Path) -> None:

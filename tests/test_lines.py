@@ -369,3 +369,15 @@ def test_inferred_lines_are_the_routes(scene: str) -> None:
     # Two exits on one side are told apart by nothing before the stop line of an all-way stop.
     assert blinking.value > (0.5 if scene == "intersection5" else 0.95)
     assert scores["line_fallback_share"].value == 0.0
+
+
+def test_lanes_of_no_length_and_points_twice_are_no_trouble() -> None:
+    lanes = [
+        lane("a", [(0, 0), (50, 0), (50, 0)], "c"),
+        lane("c", [(50, 0), (50, 0)], "b", is_connection=True, turn=1),
+        lane("b", [(50, 0), (50, 0), (100, 0)]),
+        lane("point", [(50, 0)], "c"),
+    ]
+    poses = drive([(0.0, 0.0), (90.0, 0.0)])
+    assert route_at(Road(lanes), poses) == ("a", "c", "b")
+    assert route_at(Road([]), poses) == ()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hatn_sim.datatypes import ConflictType, FloatArray, Kind
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
-from hatn_sim.road import LINE_STEP_M, Road
+from hatn_sim.road import LINE_STEP_M, MAX_BRANCHES, Road
 
 WEST_EAST = ("w", "we", "e")
 SOUTH_NORTH = ("s", "sn", "n")
@@ -178,6 +178,14 @@ def test_roads_that_meet_at_no_junction_pass_over_each_other() -> None:
     road = Road([*crossing_lanes(), *over])
     assert road.conflicts(road.line(("over",)), road.line(SOUTH_NORTH)) == ()
     assert len(road.conflicts(road.line(WEST_EAST), road.line(SOUTH_NORTH))) == 1
+    # Nor does a bridge over the junction itself meet those below, but a road into it does.
+    bridge = lane("bridge", [(-80, -60), (80, 60)])
+    road = Road([*crossing_lanes(), bridge])
+    assert road.conflicts(road.line(("bridge",)), road.line(SOUTH_NORTH)) == ()
+    below = [lane("a", [(-80, -60), (-8, -6)], "b"), lane("c", [(8, 6), (80, 60)])]
+    within = lane("b", [(-8, -6), (8, 6)], "c", is_connection=True)
+    road = Road([*crossing_lanes(), *below, within])
+    assert len(road.conflicts(road.line(("a", "b", "c")), road.line(SOUTH_NORTH))) == 1
     # A road that knows no junctions has only its geometry to go by.
     road = Road([lane("s", [(0, -108), (0, -8)]), *over])
     assert len(road.conflicts(road.line(("over",)), road.line(("s",)))) == 1
@@ -281,6 +289,15 @@ def test_branches_follow_every_connection_a_kind_may_use() -> None:
     assert routes == {WEST_EAST}
     routes = {road.lines[k].route for k in road.branches(("w",), Kind.TRAM)}
     assert routes == {WEST_EAST, WEST_NORTH}
+
+
+def test_no_way_on_is_left_out_of_a_fork_with_many() -> None:
+    exits = [f"x{k}" for k in range(MAX_BRANCHES + 4)]
+    lanes = [lane("in", [(-50, 0), (0, 0)], *exits)]
+    lanes += [lane(name, [(0, 0), (40, k)]) for k, name in enumerate(exits)]
+    road = Road(lanes)
+    routes = {road.lines[k].route for k in road.branches(("in",), Kind.CAR)}
+    assert routes == {("in", name) for name in exits}
 
 
 def test_gates_and_forks_lie_where_the_lanes_end(crossing: Road) -> None:

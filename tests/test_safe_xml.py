@@ -86,12 +86,26 @@ def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     path = tmp_path / "steps.xml"
     path.write_text(STEPS)
     monkeypatch.setattr(safe_xml, "MAX_DOCUMENT_BYTES", 1 << 19)
-    with pytest.raises(InputError, match="expected at most 0 MiB of XML, found more"):
+    with pytest.raises(InputError, match="expected at most 0 MiB and 5000000 tags of XML, found"):
         parse_xml(path)
     monkeypatch.setattr(safe_xml, "MAX_RECORD_BYTES", 1 << 19)
     assert sum(1 for _ in iterparse_xml(path, "steps")) == 20_000
     path.write_text("<steps><step>" + "x" * (1 << 20) + "</step></steps>")
-    with pytest.raises(InputError, match="expected records of at most 0 MiB in <steps>, found a"):
+    with pytest.raises(InputError, match="expected records of at most 0 MiB and 5000000 tags in"):
+        list(iterparse_xml(path, "steps"))
+
+
+def test_tags_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "steps.xml"
+    monkeypatch.setattr(safe_xml, "MAX_TAGS", 1000)
+    # Many records are no matter for a stream, one with many elements is; files of 250 kB each.
+    path.write_text("<steps>" + "<step/>" * 36_000 + "</steps>")
+    with pytest.raises(InputError, match="and 1000 tags of XML, found more"):
+        parse_xml(path)
+    monkeypatch.setattr(safe_xml, "MAX_TAGS", 40_000)
+    assert sum(1 for _ in iterparse_xml(path, "steps")) == 36_000
+    path.write_text("<steps><step>" + "<a/>" * 62_000 + "</step></steps>")
+    with pytest.raises(InputError, match="and 40000 tags in <steps>, found a larger one"):
         list(iterparse_xml(path, "steps"))
 
 

@@ -405,6 +405,54 @@ def test_runs_are_pooled_and_five_of_them_are_the_clusters(tmp_path: Path) -> No
     assert many.high - many.low == pytest.approx(2 * 1.96 * np.std(range(5)) / 5**0.5, rel=0.15)
 
 
+def recordings_run(out: Path, count: int, ids_by: str) -> Run:
+    """Two vehicles of each of some recordings, the predictor `number` metres off in each."""
+    traffic = Traffic(np.zeros((2 * count, 2)), np.tile([[5.0, 0.0]], (2 * count, 1)))
+    traffic.ids = tuple(f"{number:03d}:{name}" for number in range(count) for name in "ab")
+    offset_m = np.repeat(np.arange(float(count)), 2)
+
+    def off(index: int) -> Prediction:
+        exact = traffic.exact(index)
+        xy_m = exact.xy_m + np.stack([offset_m, np.zeros(2 * count)], axis=1)[:, None, None]
+        return replace(exact, xy_m=xy_m)
+
+    return make_run(out, traffic, {"off": off}, settings={"ids_by": ids_by})
+
+
+def test_recordings_in_a_run_are_the_clusters_where_there_are_five(tmp_path: Path) -> None:
+    said = [
+        (5, "recordings", "recordings"),
+        (6, "cases", "cases"),
+        (4, "recordings", "vehicles"),
+        (6, "", "vehicles"),
+    ]
+    for number, (count, ids_by, expected) in enumerate(said):
+        run = recordings_run(tmp_path / str(number), count, ids_by)
+        assert clustered_over([run]) == expected
+        score = value(score_run(run), "off", "ade_3s")
+        assert (score.value, score.n) == (pytest.approx((count - 1) / 2), 2 * count)
+        # As above, the standard error of a mean over so many independent draws.
+        draws = count if expected != "vehicles" else 2 * count
+        error_m = np.std(range(count)) / draws**0.5
+        assert score.low is not None and score.high is not None
+        assert score.high - score.low == pytest.approx(2 * 1.96 * error_m, rel=0.15)
+
+
+def test_cases_are_sampled_after_ten_frames(tmp_path: Path) -> None:
+    traffic = two_cars()
+    for ids_by, expected in (("", 0), ("cases", 2)):
+        said: dict[str, Predictor] = {"p": traffic.exact}
+        with RunWriter(tmp_path / f"x{ids_by}", {"settings": {"ids_by": ids_by}}) as writer:
+            for index in range(41):
+                nobody = index == 0
+                frame = traffic.frame(index)
+                seen = Traffic(traffic.xy_m[:0], traffic.velocity_mps[:0]).frame(index)
+                advice = {n: Advice(predict(index), (), ()) for n, predict in said.items()}
+                writer.write(index, seen if nobody else frame, {} if nobody else advice)
+        score = value(score_run(read_run(tmp_path / f"x{ids_by}")), "p", "ade_3s")
+        assert score.n == expected
+
+
 def test_scenes_are_scored_apart(tmp_path: Path) -> None:
     runs = [offset_run(tmp_path / n, m, scene=n) for n, m in (("one", 1.0), ("two", 2.0))]
     found = {

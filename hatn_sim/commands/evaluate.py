@@ -9,11 +9,16 @@ those within 10 m, or those whose reference lines conflict with the ego's.
 from __future__ import annotations
 
 import argparse
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.options import names, seconds, seconds_or_none, seeds
+
+if TYPE_CHECKING:
+    from hatn_sim.config import Scenario
 
 EXAMPLES = """examples:
   hatn-sim evaluate --table density
@@ -88,3 +93,30 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.duration = DURATION_S
     code: int = import_module(f"hatn_sim.commands.evaluate_{arguments.table}").main(arguments)
     return code
+
+
+def by_label(named: Mapping[str, Scenario]) -> dict[str, Scenario]:
+    """Scenes by the name they go by: where two have the same, by the words that name them."""
+    uses = Counter(scenario.name for scenario in named.values())
+    return {
+        scenario.name if uses[scenario.name] == 1 else word: scenario
+        for word, scenario in named.items()
+    }
+
+
+def chosen_folder(arguments: argparse.Namespace, files: Sequence[str]) -> Path:
+    """Where the table's files go, none of which may be there; not made yet. Raises InputError."""
+    from hatn_sim.errors import InputError
+
+    out: Path | None = arguments.out
+    number = 1
+    while out is None:
+        folder = Path("runs") / f"{arguments.table}-{number}"
+        out = None if folder.exists() else folder
+        number += 1
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder, found a file; choose another --out")
+    for name in files:
+        if (out / name).exists():
+            raise InputError(f"{out / name}: exists already; move it away or choose another --out")
+    return out

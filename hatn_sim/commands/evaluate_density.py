@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate import DURATION_S
+from hatn_sim.commands.evaluate import DURATION_S, by_label, chosen_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,8 +38,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.score.density import density_scores
 
     scenarios = _scenarios(arguments)
-    out: Path = arguments.out or _free_folder()
-    _check_out(out)
+    out = chosen_folder(arguments, (HISTOGRAMS, *FIGURES))
     densities = {
         label: _measure(arguments, label, scenario) for label, scenario in scenarios.items()
     }
@@ -65,28 +63,7 @@ def _scenarios(arguments: argparse.Namespace) -> dict[str, Scenario]:
         wanted = () if arguments.recordings is None else recording_names(arguments.recordings)
         word = " ".join(arguments.tracks)
         named[word] = load_tracks(arguments.tracks, arguments.map, wanted)
-    uses = Counter(scenario.name for scenario in named.values())
-    return {
-        scenario.name if uses[scenario.name] == 1 else word: scenario
-        for word, scenario in named.items()
-    }
-
-
-def _free_folder() -> Path:
-    number = 1
-    while (folder := Path("runs") / f"density-{number}").exists():
-        number += 1
-    return folder
-
-
-def _check_out(out: Path) -> None:
-    from hatn_sim.errors import InputError
-
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, found a file; choose another --out")
-    for name in (HISTOGRAMS, *FIGURES):
-        if (out / name).exists():
-            raise InputError(f"{out / name}: exists already; move it away or choose another --out")
+    return by_label(named)
 
 
 def _measure(arguments: argparse.Namespace, label: str, scenario: Scenario) -> Density:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from hatn_sim.commands.evaluate import by_label, chosen_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -35,12 +35,11 @@ TITLES: Final = {
 def main(arguments: argparse.Namespace) -> int:
     """Simulate, judge, print, draw."""
     from hatn_sim.report.line_figure import draw_line_accuracy
-    from hatn_sim.report.table import scores_json, write_scores
+    from hatn_sim.report.table import SCORES_FILE, scores_json, write_scores
     from hatn_sim.score.line_accuracy import line_scores
 
     scenarios = _scenarios(arguments.scenes, arguments.quiet)
-    out: Path = arguments.out or _free_folder()
-    _check_out(out)
+    out = chosen_folder(arguments, (SCORES_FILE, *FIGURES))
     samples = {label: _measure(arguments, label, one) for label, one in scenarios.items()}
     scores = {label: line_scores(one, label) for label, one in samples.items()}
     out.mkdir(parents=True, exist_ok=True)
@@ -74,29 +73,7 @@ def _scenarios(words: Sequence[str], quiet: bool) -> dict[str, Scenario]:
         )
     if recorded and not quiet:
         print(f"hatn-sim: left out, without routes: {', '.join(recorded)}", file=sys.stderr)
-    uses = Counter(scenario.name for scenario in named.values())
-    return {
-        scenario.name if uses[scenario.name] == 1 else word: scenario
-        for word, scenario in named.items()
-    }
-
-
-def _free_folder() -> Path:
-    number = 1
-    while (folder := Path("runs") / f"lines-{number}").exists():
-        number += 1
-    return folder
-
-
-def _check_out(out: Path) -> None:
-    from hatn_sim.errors import InputError
-    from hatn_sim.report.table import SCORES_FILE
-
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, found a file; choose another --out")
-    for name in (SCORES_FILE, *FIGURES):
-        if (out / name).exists():
-            raise InputError(f"{out / name}: exists already; move it away or choose another --out")
+    return by_label(named)
 
 
 def _measure(arguments: argparse.Namespace, label: str, scenario: Scenario) -> LineSamples:
@@ -150,7 +127,10 @@ def _judge_run(
             if frame.done or index == total - 1:
                 break
             frame = simulator.step()
-    return judge.samples()
+    samples = judge.samples()
+    if not len(samples.vehicle) and not quiet:
+        print(f"hatn-sim: {title}: no vehicle came near a junction", file=sys.stderr)
+    return samples
 
 
 def _print(scores: Mapping[str, Sequence[Score]], samples: Mapping[str, LineSamples]) -> None:

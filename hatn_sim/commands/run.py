@@ -134,6 +134,7 @@ def main(arguments: argparse.Namespace) -> int:
     try:
         with closing(open_traffic(scenario)) as simulator:
             first = simulator.reset(arguments.seed or 0)
+            header["settings"]["ids_by"] = _ids_by(simulator)
             if not arguments.quiet:
                 for notice in simulator.notices:
                     print(f"hatn-sim: {notice}", file=sys.stderr)
@@ -149,6 +150,15 @@ def main(arguments: argparse.Namespace) -> int:
         return 130
     except SimulatorError as error:
         raise SimulatorError(f"{error}; repeat with `{header['command']}`{where}") from None
+
+
+def _ids_by(simulator: Simulator) -> str:
+    """What ids name before their first colon; see `Recording`."""
+    from hatn_sim.simulators.recorded import RecordedSimulator
+    from hatn_sim.simulators.sumo_replay import SumoReplay
+
+    recorded = isinstance(simulator, RecordedSimulator | SumoReplay)
+    return simulator.recording.ids_by if recorded else ""
 
 
 def _check_out(out: Path) -> None:

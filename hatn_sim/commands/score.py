@@ -1,7 +1,7 @@
 """Print the scores of one or more runs, read from their logs.
 
-Several runs of a scene are pooled; from five runs on, the intervals are over runs instead of over
-the vehicles of one.
+Several runs of a scene are pooled; from five runs on, or five recordings or cases in them, the
+intervals are over these instead of over vehicles.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from hatn_sim.datatypes import (
+    CASE_HISTORY_FRAMES,
+    HISTORY_FRAMES,
     HORIZON_FRAMES,
     Alert,
     BoolArray,
@@ -117,6 +119,23 @@ class Run:
     def by_route(self) -> bool:
         """Lines came from the simulator's routes, which no camera can see: an upper bound."""
         return self.header.get("settings", {}).get("lines") == "route"
+
+    @property
+    def ids_by(self) -> str:
+        """What ids name before their first colon: "recordings", "cases", or "" for nothing."""
+        return str(self.header.get("settings", {}).get("ids_by") or "")
+
+    @property
+    def history_frames(self) -> int:
+        """Frames behind a sample, now included: cases have one less than other traffic."""
+        return CASE_HISTORY_FRAMES if self.ids_by == "cases" else HISTORY_FRAMES
+
+    @cached_property
+    def recording_of(self) -> IntArray:
+        """[V] number of the recording or case that every vehicle of `ids` was in; else all 0."""
+        numbers: dict[str, int] = {}
+        names = (name.partition(":")[0] if self.ids_by else "" for name in self.ids)
+        return np.array([numbers.setdefault(name, len(numbers)) for name in names], dtype=np.int64)
 
     @cached_property
     def ids(self) -> tuple[str, ...]:

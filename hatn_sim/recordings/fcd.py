@@ -17,6 +17,7 @@ from hatn_sim.recordings.fcd_head import Moment, check_net, check_speeds, first_
 from hatn_sim.recordings.fcd_rows import Timestep, read_timesteps
 from hatn_sim.recordings.fcd_scenes import SceneReader
 from hatn_sim.recordings.maps import read_lanes
+from hatn_sim.recordings.pause import check_pause
 from hatn_sim.recordings.vehicle_types import VehicleType, read_types
 
 GRID_TOLERANCE_S: Final = 0.006
@@ -47,6 +48,7 @@ class FcdRecording:
         if source.map_path is None:
             raise InputError(f"{path}: add --map FILE, the net that it was recorded in")
         self.name = name
+        self.ids_by = ""
         self._path = path
         self._map_path = source.map_path
 
@@ -117,6 +119,7 @@ class FcdRecording:
             moment = Moment(index, step, reader.scene(step))
             if last is not None and index > last.index + 1:
                 _check_gap(self._path, last, moment)
+                check_pause(f"{self._path}: timestep {step.time}", index - last.index - 1)
             yield moment
             last = moment
 

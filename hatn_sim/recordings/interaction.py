@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hatn_sim.config import RecordedSource
-from hatn_sim.datatypes import HISTORY_FRAMES, Frame, IntArray, Lane, Scene, Truth
+from hatn_sim.datatypes import (
+    CASE_HISTORY_FRAMES,
+    HISTORY_FRAMES,
+    Frame,
+    IntArray,
+    Lane,
+    Scene,
+    Truth,
+)
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.ending import with_end
 from hatn_sim.recordings.interaction_checks import STEP_MS
@@ -24,11 +32,12 @@ from hatn_sim.recordings.interaction_files import Recorded, group_files, refuse_
 from hatn_sim.recordings.interaction_scan import Part, Scan, scan
 from hatn_sim.recordings.interaction_table import ROW, InteractionTable, Rows
 from hatn_sim.recordings.maps import read_lanes
+from hatn_sim.recordings.pause import check_pause
 from hatn_sim.recordings.spool import Spool
 
 GAP_FRAMES: Final = HISTORY_FRAMES
 """Empty frames between two recordings, at least."""
-CASE_NOW: Final = 9
+CASE_NOW: Final = CASE_HISTORY_FRAMES - 1
 """The last observed frame of a case is its tenth ..."""
 SAMPLE_FRAMES: Final = 5
 """... and comes on a multiple of this, where samples are taken."""
@@ -48,6 +57,7 @@ class InteractionRecording:
         self._name = name
         self._map_path = source.map_path
         self._recordings = group_files(source.tracks, ())
+        self._found: dict[str, None] = {}  # notices on what has been read, in order
         paths = [path for recorded in self._recordings for path in recorded.paths]
         with_cases = [path for path in paths if InteractionTable(path).has_cases]
         if with_cases and len(with_cases) < len(paths):
@@ -65,20 +75,32 @@ class InteractionRecording:
         return self._name
 
     @property
+    def ids_by(self) -> str:
+        if self._has_cases:
+            return "cases"
+        return "recordings" if len(self._recordings) > 1 else ""
+
+    @property
     def lanes(self) -> Sequence[Lane]:
         return self._lanes
 
     @property
     def notices(self) -> Sequence[str]:
+        """On the files; once the first frame has been given, also on how they fit the map."""
         notices: list[str] = []
         if self._has_cases or len(self._recordings) > 1:
             what = "cases" if self._has_cases else f"{len(self._recordings)} recordings"
             notices.append(f"{what} follow each other, {GAP_FRAMES} empty frames or more between")
+        if self._has_cases:
+            notices.append(
+                f"cases have {CASE_HISTORY_FRAMES} frames behind what is scored, "
+                f"where other traffic has {HISTORY_FRAMES}"
+            )
         beside = [one.paths[-1].name for one in self._recordings if one.found_beside]
         if beside:
             more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
             notices.append(f"read along with the vehicles: {', '.join(beside[:3])}{more}")
-        return notices
+        return [*notices, *self._found]
 
     def frames(self) -> Iterator[Frame]:
         """The frames from the beginning.
@@ -116,11 +138,13 @@ class InteractionRecording:
     def _moments(self) -> Iterator[Moment]:
         """The frames with somebody in them, in order of time."""
         free = 0
+        last = -1
         known: list[str] = []
         for recorded in self._recordings:
             with Spool(ROW) as spool:
                 found = scan(recorded, self._cases, self.lanes, self._map_path, spool)
                 known += found.cases
+                self._found.update(dict.fromkeys(found.notices))
                 if recorded is self._recordings[-1]:
                     refuse_unknown(recorded.paths[0], self._cases, known)
                 starts = _starts(found.parts, free, self._has_cases)
@@ -132,8 +156,11 @@ class InteractionRecording:
                     for rows in _by_frame(spool.read(bucket)):
                         part, frame = int(rows["part"][0]), int(rows["frame"][0])
                         origin = found.parts[part]
+                        index = starts[part] + frame - origin.first_frame
+                        check_pause(f"{recorded.paths[0]}: frame {frame}", index - last - 1)
+                        last = index
                         yield Moment(
-                            index=starts[part] + frame - origin.first_frame,
+                            index=index,
                             time_ms=origin.zero_ms + STEP_MS * frame,
                             ids=tuple(ids[rows["track"]].tolist()),
                             rows=rows,
@@ -141,10 +168,13 @@ class InteractionRecording:
                         )
 
     def _ids(self, recorded: Recorded, found: Scan) -> list[str]:
-        """A name for every track, `000:12` where there are several recordings or cases."""
-        before = f"{recorded.name}:" if len(self._recordings) > 1 else ""
+        """A name for every track: `12`, of several recordings `000:12`, of cases `7:12`, or
+        `FILE/7:12` of cases in several files."""
+        several = len(self._recordings) > 1
         if not self._has_cases:
+            before = f"{recorded.name}:" if several else ""
             return [before + name for name in found.track_names]
+        before = f"{recorded.name}/" if several else ""
         cases = [found.parts[part].name for part in found.track_part.tolist()]
         return [f"{before}{c}:{n}" for c, n in zip(cases, found.track_names, strict=True)]
 

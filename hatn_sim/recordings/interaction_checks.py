@@ -30,6 +30,9 @@ FASTER_THAN_MPS: Final = 2.0
 FEWEST_STEPS: Final = 20
 MOST_STEPS: Final = 200_000
 RATIO_BETWEEN: Final = (0.67, 1.5)
+TURNED_RAD: Final = math.radians(60.0)
+MOST_TURNED: Final = 0.1
+"""Share of steps: some vehicles reverse."""
 UNITS: Final = (
     (3.6, "km/h in vx, vy? divide them by 3.6"),
     (2.237, "miles an hour in vx, vy? multiply them by 0.447"),
@@ -47,8 +50,29 @@ class Columns:
     """Rows of a file. The first may be the last one of the block before."""
 
     line: IntArray  # [R] in the file, the header is line 1
-    track: IntArray  # [R] number of the track in the file
+    track: IntArray  # [R] number of the track in the file, in order of appearance
+    kind: IntArray  # [R] Kind
     values: Mapping[str, FloatArray]  # [R] by the column's name
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def last(self) -> Columns:
+        """The last row."""
+        values = {name: column[-1:] for name, column in self.values.items()}
+        return Columns(self.line[-1:], self.track[-1:], self.kind[-1:], values)
+
+    def after(self, before: Columns) -> Columns:
+        """These rows with others before them."""
+        return Columns(
+            np.concatenate([before.line, self.line]),
+            np.concatenate([before.track, self.track]),
+            np.concatenate([before.kind, self.kind]),
+            {
+                name: np.concatenate([before.values[name], self.values[name]])
+                for name in self.values
+            },
+        )
 
 
 def check_header(path: Path, names: Sequence[str]) -> None:
@@ -84,8 +108,8 @@ def check_numbers(path: Path, columns: Columns, may_be_blank: BoolArray) -> None
             odd = (values != np.rint(values)) | ((name == "frame_id") & (np.abs(values) >= 2**31))
             _refuse_first(path, columns, odd, name, "a whole number")
         elif name == "psi_rad":
-            far = np.abs(values) > 2 * math.pi + 0.01
-            _refuse_first(path, columns, far, name, "radians within -2 pi and 2 pi", "degrees?")
+            far = np.abs(values) > 4 * math.pi  # not wrapped round a roundabout
+            _refuse_first(path, columns, far, name, "radians within -4 pi and 4 pi", "degrees?")
         elif name in ("length", "width"):
             odd = (values <= 0) | (values > LONGEST_M)
             _refuse_first(path, columns, odd, name, f"metres up to {LONGEST_M:g}", "cm?")
@@ -101,6 +125,18 @@ def _refuse_first(
         raise InputError(
             f"{path}:{columns.line[rows[0]]}: {name}: expected {expected}, found {found}; "
             + " ".join(filter(None, (hint, "correct the row")))
+        )
+
+
+def check_order(path: Path, columns: Columns, tracks: Sequence[str]) -> None:
+    """Raises InputError where a track goes on after another one."""
+    back = np.flatnonzero(np.diff(columns.track) < 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise InputError(
+            f"{path}:{columns.line[row]}: track {tracks[int(columns.track[row])]}: expected its "
+            "rows together, found it again after another track; sort the file by track_id and "
+            "frame_id"
         )
 
 
@@ -154,13 +190,15 @@ def check_clock(path: Path, columns: Columns, starts: IntArray, offset_ms: Float
         )
 
 
-class SpeedCheck:
-    """Whether vx, vy are the speeds at which x, y move: units, and the rate in truth."""
+class MotionCheck:
+    """Whether x, y move as vx, vy and psi_rad say: units, the true rate, the way angles run."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._ratios: list[NDArray[Any]] = []
         self._count = 0
+        self._headed = 0
+        self._turned = 0
 
     def add(self, columns: Columns) -> None:
         """Take account of the steps inside tracks, up to a bound."""
@@ -168,23 +206,35 @@ class SpeedCheck:
             return
         x_m, y_m, vx, vy = (columns.values[name] for name in ("x", "y", "vx", "vy"))
         same = columns.track[1:] == columns.track[:-1]
-        moved_mps = np.hypot(np.diff(x_m), np.diff(y_m)) / DT_S
+        dx_m, dy_m = np.diff(x_m), np.diff(y_m)
+        moved_mps = np.hypot(dx_m, dy_m) / DT_S
         speed_mps = np.hypot(vx, vy)
         said_mps = (speed_mps[1:] + speed_mps[:-1]) / 2.0
         moving = same & (np.maximum(moved_mps, said_mps) > FASTER_THAN_MPS)
         self._ratios.append(said_mps[moving] / np.maximum(moved_mps[moving], 1e-6))
         self._count += int(moving.sum())
+        if "psi_rad" in columns.values:
+            along = np.cos(columns.values["psi_rad"][1:] - np.arctan2(dy_m, dx_m))
+            headed = same & (moved_mps > FASTER_THAN_MPS) & ~np.isnan(along)
+            self._headed += int(headed.sum())
+            self._turned += int((along[headed] < math.cos(TURNED_RAD)).sum())
 
     def finish(self) -> None:
-        """Raises InputError where most of the steps do not fit."""
+        """Raises InputError where most of the speeds, or many of the headings, do not fit."""
         if self._count < FEWEST_STEPS:
             return
         ratio = float(np.median(np.concatenate(self._ratios)))
-        if RATIO_BETWEEN[0] <= ratio <= RATIO_BETWEEN[1]:
-            return
-        hints = [hint for usual, hint in UNITS if abs(ratio / usual - 1.0) < 0.08]
-        raise InputError(
-            f"{self._path}: expected m/s in vx, vy at which x, y move in metres, found {ratio:.3g} "
-            f"times that (median of {self._count} steps); "
-            f"{hints[0] if hints else 'check the units and the rate'}"
-        )
+        if not RATIO_BETWEEN[0] <= ratio <= RATIO_BETWEEN[1]:
+            hints = [hint for usual, hint in UNITS if abs(ratio / usual - 1.0) < 0.08]
+            raise InputError(
+                f"{self._path}: expected m/s in vx, vy at which x, y move in metres, found "
+                f"{ratio:.3g} times that (median of {self._count} steps); "
+                f"{hints[0] if hints else 'check the units and the rate'}"
+            )
+        if self._turned > MOST_TURNED * self._headed:
+            raise InputError(
+                f"{self._path}: expected psi_rad as x, y move, counter-clockwise from +x, found it "
+                f"more than {math.degrees(TURNED_RAD):.0f} degrees off in "
+                f"{self._turned / self._headed:.0%} of {self._headed} steps; clockwise, or from "
+                "north? convert it"
+            )

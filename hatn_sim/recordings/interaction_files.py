@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -49,14 +49,16 @@ def group_files(paths: Sequence[Path], wanted: Sequence[str]) -> list[Recorded]:
     recordings = [_recorded(name, together) for name, together in files.items()]
     if not wanted:
         return recordings
-    chosen = [one for one in recordings if is_named(one.name, wanted)]
+    is_wanted = among(wanted)
+    chosen = [one for one in recordings if is_wanted(one.name)]
     refuse_unknown(paths[0].parent, wanted, files)
     return chosen
 
 
-def is_named(name: str, wanted: Iterable[str]) -> bool:
-    """Whether a name is among those wanted; `7` and `007` are the same."""
-    return _plain(name) in {_plain(other) for other in wanted}
+def among(wanted: Iterable[str]) -> Callable[[str], bool]:
+    """Tells of a name whether it is among those wanted; `7` and `007` are the same."""
+    names = {_plain(name) for name in wanted}
+    return lambda name: _plain(name) in names
 
 
 def refuse_unknown(where: Path, wanted: Iterable[str], known: Iterable[str]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.fit import distance_to_lanes_m
-from hatn_sim.recordings.interaction_files import Recorded, is_named, read_ids
+from hatn_sim.recordings.interaction_files import Recorded, among, read_ids
 from hatn_sim.recordings.interaction_table import InteractionTable, Rows
 from hatn_sim.recordings.spool import Spool
 
@@ -24,6 +24,8 @@ BUCKET_PARTS: Final = 256
 FAR_M: Final = 30.0
 """Road users further than this from the middle of every lane are off the map."""
 FAR_SHARE: Final = 0.2
+BESIDE_M: Final = 2.0
+"""Drivers cut corners, but at the median they are nearer than this to the middle of a lane."""
 LOOK_EVERY_FRAMES: Final = 10
 MOST_PLACES: Final = 100_000
 
@@ -46,6 +48,7 @@ class Scan:
     track_part: IntArray
     parts: list[Part]
     cases: list[str]  # of the files, where some were to be chosen
+    notices: list[str]
 
 
 def scan(
@@ -63,8 +66,10 @@ def scan(
     track_part: list[int] = []
     parts: list[Part] = []
     seen: list[str] = []
+    notices: list[str] = []
+    is_wanted = among(cases) if cases else None
     for path in recorded.paths:
-        table = InteractionTable(path, (lambda case: is_named(case, cases)) if cases else None)
+        table = InteractionTable(path, is_wanted)
         first = np.zeros(0, dtype=np.int64)
         last = np.zeros(0, dtype=np.int64)
         places: list[FloatArray] = [np.zeros((0, 2))]
@@ -77,7 +82,10 @@ def scan(
                 rows["frame"] // BUCKET_FRAMES
             )  # fmt: skip
             spool.add(buckets.astype(np.int64), rows)
-        _check_places(path, map_path, lanes, np.concatenate(places))
+        if path == recorded.paths[0]:
+            # Of pedestrians, who are read after the vehicles, there may be none.
+            _check_tracks(path, table, len(recorded.paths))
+        notices += _check_places(path, map_path, lanes, np.concatenate(places))
         parts = _merged(path, parts, table, first, last)
         taken = set(track_names)
         # Pedestrians may be numbered as vehicles are.
@@ -85,7 +93,17 @@ def scan(
         track_names += [f"P{name}" if name in taken else name for name in ids]
         track_part += table.track_parts
         seen += table.cases
-    return Scan(track_names, np.array(track_part, dtype=np.int64), parts, seen)
+    return Scan(track_names, np.array(track_part, dtype=np.int64), parts, seen, notices)
+
+
+def _check_tracks(path: Path, table: InteractionTable, files: int) -> None:
+    if not table.track_ids and not table.cases:
+        raise InputError(f"{path}: expected tracks, found none; give a file with rows")
+    if table.has_cases and files > 1:
+        raise InputError(
+            f"{path}: expected cases with their pedestrians in one file, found {files} files of "
+            "one recording; join them"
+        )
 
 
 def _spans(first: IntArray, last: IntArray, rows: Rows, count: int) -> tuple[IntArray, IntArray]:
@@ -106,8 +124,8 @@ def _merged(
         Part(name, int(first[k]), int(last[k]), table.zero_ms[k])
         for k, name in enumerate(table.parts)
     ]
-    if not parts:
-        return found
+    if not parts or not found:
+        return list(parts) or found
     (one,), (other,) = parts, found
     if one.zero_ms != other.zero_ms:
         raise InputError(
@@ -124,9 +142,10 @@ def _places(rows: Rows) -> FloatArray:
     return np.stack([rows["x_m"][seen], rows["y_m"][seen]], axis=1)
 
 
-def _check_places(path: Path, map_path: Path, lanes: Sequence[Lane], xy_m: FloatArray) -> None:
+def _check_places(path: Path, map_path: Path, lanes: Sequence[Lane], xy_m: FloatArray) -> list[str]:
+    """A notice where places are beside the lanes. Raises InputError where they are off the map."""
     if not len(xy_m):
-        return
+        return []
     far_m = distance_to_lanes_m(lanes, xy_m)
     share = float((far_m > FAR_M).mean())
     if share > FAR_SHARE:
@@ -139,3 +158,10 @@ def _check_places(path: Path, map_path: Path, lanes: Sequence[Lane], xy_m: Float
             f"({on_map[0]:.0f}, {on_map[1]:.0f})): map and tracks seem not to belong together; "
             "give the map of this place"
         )
+    median_m = float(np.median(far_m))
+    if median_m <= BESIDE_M:
+        return []
+    return [
+        f"{path.name}: vehicles are {median_m:.1f} m from the middle of the nearest lane at the "
+        f"median: is {map_path.name} the map of this place, and in its place?"
+    ]

@@ -1,13 +1,15 @@
 """One file of tracks in INTERACTION format -> checked rows, block by block, in bounded memory.
 
 Columns: `track_id, frame_id, timestamp_ms, agent_type, x, y, vx, vy, psi_rad, length, width`, in
-version 1.2 after a `case_id`. Rows are sorted by track, 100 ms from one to the next.
+version 1.2 after a `case_id`; between them commas, semicolons or tabs. Rows are sorted by track,
+100 ms from one to the next; a file whose first block is sorted otherwise (by frame) is sorted here.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,12 +25,14 @@ from hatn_sim.recordings.interaction_checks import (
     CASE,
     COLUMNS,
     Columns,
-    SpeedCheck,
+    MotionCheck,
     check_clock,
     check_header,
     check_numbers,
+    check_order,
     check_steps,
 )
+from hatn_sim.recordings.interaction_order import by_track
 
 ROW: Final = np.dtype(
     [
@@ -71,6 +75,7 @@ BLOCK_BYTES: Final = 4 << 20
 _TEXTS: Final = (CASE, "track_id", "agent_type")
 _NUMBERS: Final = tuple(name for name in COLUMNS if name not in _TEXTS)
 _LONGEST_HEADER: Final = 4096
+_DELIMITERS: Final = ",;\t"
 
 
 class InteractionTable:
@@ -87,7 +92,7 @@ class InteractionTable:
         Raises InputError where the file cannot be read or has other columns.
         """
         self.path = path
-        self._names = _read_header(path)
+        self._names, self._delimiter = _read_header(path)
         check_header(path, self._names)
         self.has_cases = CASE in self._names
         self._wants = wants
@@ -100,11 +105,37 @@ class InteractionTable:
         self.zero_ms: list[float] = []
 
     def rows(self) -> Iterator[Rows]:
-        """The rows in the file's order. Raises InputError where they are at fault."""
-        speeds = SpeedCheck(self.path)
-        line = 2
+        """The rows track by track, in each by frame. Raises InputError where they are at fault."""
+        motion = MotionCheck(self.path)
         last: Columns | None = None
         held_yaw = 0.0
+        for block in self._in_order():
+            joined = block if last is None else block.after(last)
+            check_order(self.path, joined, self.track_ids)
+            check_steps(self.path, joined, self.track_ids)
+            previous = -1 if last is None else int(last.track[0])
+            starts = np.flatnonzero(np.diff(block.track, prepend=previous))
+            self._check_clocks(block, starts)
+            motion.add(joined)
+            last = block.last()
+            rows = self._made(block, starts, held_yaw)
+            held_yaw = float(rows["yaw_rad"][-1])
+            yield rows
+        motion.finish()
+
+    def _in_order(self) -> Iterator[Columns]:
+        """The blocks, sorted where the first shows that they have to be."""
+        blocks = self._blocks()
+        first = next(blocks, None)
+        if first is None:
+            return iter(())
+        is_sorted = bool((np.diff(first.track) >= 0).all())
+        blocks = chain((first,), blocks)
+        return blocks if is_sorted else by_track(blocks)
+
+    def _blocks(self) -> Iterator[Columns]:
+        """The rows that are wanted, in the file's order, their tracks numbered as they appear."""
+        line = 2
         for batch in self._batches():
             lines = np.arange(line, line + len(batch))
             line += len(batch)
@@ -127,21 +158,9 @@ class InteractionTable:
                 texts = {name: (names, codes[keep]) for name, (names, codes) in texts.items()}
             names, codes = texts["agent_type"]
             kind = np.array([KIND_OF_AGENT.get(n.lower(), Kind.OTHER) for n in names])[codes]
-            previous = -1 if last is None else int(last.track[-1])
-            track, starts = self._numbered(lines, texts, previous, values)
-            block = Columns(lines, track, values)
+            block = Columns(lines, self._numbered(texts, values), kind, values)
             check_numbers(self.path, block, np.isin(kind, list(DEFAULT_SIZE_M)))
-            joined = block if last is None else _joined(last, block)
-            check_steps(self.path, joined, self.track_ids)
-            self._check_clocks(block, starts)
-            speeds.add(joined)
-            last = _tail(block)
-            rows = self._made(block, kind, starts, held_yaw)
-            held_yaw = float(rows["yaw_rad"][-1])
-            yield rows
-        if last is None and not self.cases:
-            raise InputError(f"{self.path}: expected tracks, found none; give a file with rows")
-        speeds.finish()
+            yield block
 
     def _batches(self) -> Iterator[Any]:
         text = pa.dictionary(pa.int32(), pa.string())
@@ -149,7 +168,14 @@ class InteractionTable:
         try:
             reader = pyarrow.csv.open_csv(
                 self.path,
-                read_options=pyarrow.csv.ReadOptions(block_size=BLOCK_BYTES, use_threads=False),
+                # By the names as they were read, without blanks around them.
+                read_options=pyarrow.csv.ReadOptions(
+                    block_size=BLOCK_BYTES,
+                    use_threads=False,
+                    column_names=self._names,
+                    skip_rows=1,
+                ),
+                parse_options=pyarrow.csv.ParseOptions(delimiter=self._delimiter),
                 convert_options=pyarrow.csv.ConvertOptions(
                     column_types=types,
                     null_values=["", "nan", "NaN", "null", "None"],
@@ -197,37 +223,26 @@ class InteractionTable:
 
     def _numbered(
         self,
-        lines: IntArray,
         texts: Mapping[str, tuple[list[str], IntArray]],
-        previous: int,
         values: Mapping[str, FloatArray],
-    ) -> tuple[IntArray, IntArray]:
-        """The track [R] of every row and the rows [K] at which new tracks begin."""
+    ) -> IntArray:
+        """The track [R] of every row."""
         ids, id_codes = texts["track_id"]
-        cases, case_codes = texts.get(CASE, ([""], np.zeros(len(lines), dtype=np.int64)))
-        codes = case_codes * len(ids) + id_codes
-        first = np.concatenate([[0], np.flatnonzero(np.diff(codes)) + 1])
-        counts = np.diff([*first.tolist(), len(codes)])
-        numbers: list[int] = []
-        new: list[int] = []
-        for row in first.tolist():
+        cases, case_codes = texts.get(CASE, ([""], np.zeros(len(id_codes), dtype=np.int64)))
+        codes, first, which = np.unique(
+            case_codes * len(ids) + id_codes, return_index=True, return_inverse=True
+        )
+        numbers = np.empty(len(codes), dtype=np.int64)
+        for place in np.argsort(first).tolist():
+            row = int(first[place])
             part = self._part(cases[case_codes[row]], row, values)
             key = (part, ids[id_codes[row]])
-            number = self._track_of.get(key)
-            if number is None:
-                number = len(self.track_ids)
-                self._track_of[key] = number
+            if key not in self._track_of:
+                self._track_of[key] = len(self.track_ids)
                 self.track_ids.append(key[1])
                 self.track_parts.append(part)
-                new.append(row)
-            elif number != previous:
-                raise InputError(
-                    f"{self.path}:{lines[row]}: track {key[1]}: expected its rows together, found "
-                    "it again after another track; sort the file by track_id and frame_id"
-                )
-            numbers.append(number)
-            previous = number
-        return np.repeat(numbers, counts), np.array(new, dtype=np.int64)
+            numbers[place] = self._track_of[key]
+        return numbers[which]
 
     def _part(self, case: str, row: int, values: Mapping[str, FloatArray]) -> int:
         if case not in self._part_of:
@@ -242,9 +257,9 @@ class InteractionTable:
         offset_ms = np.array(self.zero_ms)[parts] if parts else np.zeros(0)
         check_clock(self.path, block, starts, offset_ms)
 
-    def _made(self, block: Columns, kind: NDArray[Any], starts: IntArray, held_yaw: float) -> Rows:
-        values = block.values
-        rows: Rows = np.zeros(len(block.line), dtype=ROW)
+    def _made(self, block: Columns, starts: IntArray, held_yaw: float) -> Rows:
+        values, kind = block.values, block.kind
+        rows: Rows = np.zeros(len(block), dtype=ROW)
         rows["part"] = np.array(self.track_parts)[block.track]
         rows["frame"] = values["frame_id"]
         rows["track"] = block.track
@@ -263,7 +278,8 @@ class InteractionTable:
         return rows
 
 
-def _read_header(path: Path) -> list[str]:
+def _read_header(path: Path) -> tuple[list[str], str]:
+    """The names of the columns, and what stands between them."""
     try:
         with path.open("rb") as file:
             line = file.readline(_LONGEST_HEADER)
@@ -274,20 +290,8 @@ def _read_header(path: Path) -> list[str]:
         raise InputError(f"{path}: expected CSV, found no text; give the right file") from error
     if not text:
         raise InputError(f"{path}: expected CSV with a header, found an empty file or line")
-    return [name.strip().strip('"') for name in text.split(",")]
-
-
-def _tail(block: Columns) -> Columns:
-    values = {name: column[-1:] for name, column in block.values.items()}
-    return Columns(block.line[-1:], block.track[-1:], values)
-
-
-def _joined(last: Columns, block: Columns) -> Columns:
-    return Columns(
-        np.concatenate([last.line, block.line]),
-        np.concatenate([last.track, block.track]),
-        {name: np.concatenate([last.values[name], block.values[name]]) for name in block.values},
-    )
+    delimiter = max(_DELIMITERS, key=text.count)
+    return [name.strip().strip("\"'").strip() for name in text.split(delimiter)], delimiter
 
 
 def _held_yaw(vx: FloatArray, vy: FloatArray, starts: IntArray, held_yaw: float) -> FloatArray:

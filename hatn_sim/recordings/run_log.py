@@ -39,6 +39,10 @@ class RunRecording:
         return (f"{self._run.path} is of an unfinished run: its first {seconds:.1f} s are played",)
 
     @property
+    def ids_by(self) -> str:
+        return self._run.ids_by
+
+    @property
     def lanes(self) -> list[Lane]:
         return self._lanes
 

@@ -23,9 +23,6 @@ from hatn_sim.score.line_accuracy import BINS_M, LineSamples, share_by_distance
 COLUMNS: Final = 3
 PANEL_IN: Final = (3.7, 2.5)
 EDGES_IN: Final = 1.0
-TARGET_INSIDE: Final = 0.97
-TARGET_LAST: Final = 0.90
-"""Inside a junction, and on the last 20 m before it with a blinker on."""
 FEW: Final = 20
 """Points of fewer samples are left out."""
 CURVES: Final = (
@@ -86,10 +83,6 @@ def _panel(axes: Axes, samples: LineSamples) -> None:
         axes.plot(
             at, share, style, color=colour, marker=marker, ms=4, lw=1.3, label=label, clip_on=False
         )
-    axes.plot([at[0] - 0.5, at[0] + 0.5], [TARGET_INSIDE] * 2, color=INK, lw=0.8)
-    axes.plot(
-        [at[2] - 0.5, at[1] + 0.5], [TARGET_LAST] * 2, color="#d55e00", lw=0.8, label="target"
-    )
     edges = [f"{low:.0f}-{high:.0f}" for low, high in pairwise(BINS_M)]
     axes.set_xticks(at, ["inside", *edges])
     axes.set_xlim(-0.5, len(BINS_M) - 0.5)

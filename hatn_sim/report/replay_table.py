@@ -19,9 +19,11 @@ PREDICTOR: Final = "recording"
 
 def replay_table(name: str, fidelity: Fidelity, divergence: Divergence) -> Group:
     """Fidelity of the vehicles placed and divergence of those that drove, for a console."""
-    parts: list[Table | Text] = [_fidelity_table(name, fidelity), Text()]
+    heading = Text(f"{name}: what SUMO made of the recorded vehicles", style="bold")
+    parts: list[Table | Text] = [heading, _fidelity_table(fidelity), Text()]
     if divergence.vehicles or divergence.kept or divergence.held_back:
-        parts.append(_divergence_table(name, divergence))
+        driven = f"{divergence.vehicles:,} driven vehicles, metres from their own recordings"
+        parts += [Text(f"{name}: {driven}", style="bold"), _divergence_table(divergence)]
         parts += [Text(line) for line in _divergence_lines(divergence)]
     else:
         parts.append(Text("no vehicle was taken over"))
@@ -57,8 +59,8 @@ def replay_scores(name: str, fidelity: Fidelity, divergence: Divergence) -> list
     ]
 
 
-def _fidelity_table(name: str, f: Fidelity) -> Table:
-    table = _table(f"{name}: what SUMO made of the recorded vehicles", "error of", "n")
+def _fidelity_table(f: Fidelity) -> Table:
+    table = _table("error of", "n")
     for title in ("median", "99 %", "max"):
         table.add_column(title, justify="right")
     table.add_row(
@@ -84,12 +86,8 @@ def _fidelity_table(name: str, f: Fidelity) -> Table:
     return table
 
 
-def _divergence_table(name: str, divergence: Divergence) -> Table:
-    table = _table(
-        f"{name}: {divergence.vehicles:,} driven vehicles, metres from their own recordings",
-        "seconds after",
-        "n",
-    )
+def _divergence_table(divergence: Divergence) -> Table:
+    table = _table("seconds after", "n")
     for title in ("median", "max"):
         table.add_column(title, justify="right")
     for at in divergence.at:
@@ -119,11 +117,8 @@ def _divergence_lines(divergence: Divergence) -> list[str]:
     return lines
 
 
-def _table(title: str, first: str, second: str) -> Table:
+def _table(first: str, second: str) -> Table:
     table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
         box=None,
         padding=(0, 2, 0, 0),
         pad_edge=False,

@@ -25,7 +25,7 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.graph import active_conflicts
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
-from hatn_sim.loop import RELEASE_FRAMES
+from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES
 from hatn_sim.perception import Perception, begin, perceive
 from hatn_sim.road import Road
 from hatn_sim.score.intervals import MIN_RUNS, cluster_sums, interval, ratio
@@ -74,7 +74,7 @@ def count_interacting(road: Road, frames: Iterable[Frame], watched: int = 0) -> 
         if index >= 0 and index % SAMPLE_EVERY_FRAMES == 0:
             parts.append(_sample(road, state.seen, numbers))
         if index % RELEASE_FRAMES == 0:
-            road.release(idle_frames=RELEASE_FRAMES)
+            road.release(RELEASE_FRAMES, KEPT_LINES)
     return pool(parts)
 
 

@@ -1,4 +1,4 @@
-"""Confidence intervals by a bootstrap clustered over vehicles or runs.
+"""Confidence intervals by a bootstrap clustered over vehicles, recordings or runs.
 
 Samples of one vehicle half a second apart are anything but independent, so whole vehicles (or
 whole runs) are drawn again, with all their samples (Field and Welsh, 2007, cluster bootstrap).
@@ -16,7 +16,7 @@ RESAMPLES = 1000
 LEVEL = 0.95
 SEED = 0
 MIN_RUNS = 5
-"""From this many pooled runs on, runs are the clusters, below it vehicles."""
+"""From this many pooled runs, recordings or cases on, these are the clusters, below it vehicles."""
 
 Statistic = Callable[[FloatArray], FloatArray]
 """Sums over samples [..., D] -> the measure [...]; NaN where it is not defined."""

@@ -34,11 +34,13 @@ from hatn_sim.datatypes import (
     IntArray,
     Kind,
     Lines,
+    ReferenceLine,
     Route,
     Scene,
     Score,
 )
 from hatn_sim.lines import empty_lines, follow_lines
+from hatn_sim.loop import RELEASE_FRAMES
 from hatn_sim.road import Road
 from hatn_sim.score import intervals
 from hatn_sim.tracks import empty_tracks, extend
@@ -99,7 +101,7 @@ class LineSamples:
 
 
 class PassageBook:
-    """The passages of a road's lines, found once each: the road must not release lines meanwhile.
+    """The passages of a road's lines, found once each.
 
     `edge_of` names the edge of a lane: lanes side by side share one.
     """
@@ -110,7 +112,7 @@ class PassageBook:
         for lane in road.lanes.values():
             if not lane.is_connection:
                 self._exits.setdefault(edge_of(lane.id), set()).update(self._leads_to(lane.id))
-        self._of_line: dict[int, tuple[Passage, ...]] = {}
+        self._of_line: dict[int, tuple[ReferenceLine, tuple[Passage, ...]]] = {}
 
     def _leads_to(self, lane_id: str) -> set[str]:
         """Edges behind the junction at the end of a lane."""
@@ -129,12 +131,14 @@ class PassageBook:
 
     def passages(self, line: int) -> tuple[Passage, ...]:
         """Those of a line, in driving order."""
-        if line not in self._of_line:
-            self._of_line[line] = tuple(self._find(line))
-        return self._of_line[line]
+        one = self._road.lines[line]
+        known = self._of_line.get(line)
+        if known is None or known[0] is not one:  # the number may mean another line by now
+            known = self._of_line[line] = one, tuple(self._find(one))
+        return known[1]
 
-    def _find(self, line: int) -> list[Passage]:
-        road, one = self._road, self._road.lines[line]
+    def _find(self, one: ReferenceLine) -> list[Passage]:
+        road = self._road
         route, start = one.route, [*one.lane_start_s_m.tolist(), np.inf]
         inside = [road.lanes[name].is_connection for name in route]
         found: list[Passage] = []
@@ -174,7 +178,8 @@ class LineJudge:
         self._road, self._book, self._run = road, PassageBook(road, edge_of), run
         self._tracks = empty_tracks()
         self._mine, self._true = empty_lines(), empty_lines()
-        self._parts: list[LineSamples] = []
+        self._frames = 0
+        self._parts: list[LineSamples] = [_samples([])]
 
     def see(self, frame: Frame, *, counts: bool) -> None:
         """One frame on; with `counts` it is judged."""
@@ -184,6 +189,10 @@ class LineJudge:
         self._true, true = follow_lines(self._true, road, self._tracks, scene, routes)
         if counts:
             self._parts.append(judge_lines(road, self._book, scene, mine, true))
+        road.touch(np.concatenate((self._mine.line.ravel(), self._true.line.ravel())))
+        self._frames += 1
+        if self._frames % RELEASE_FRAMES == 0:
+            road.release(idle_frames=RELEASE_FRAMES)
 
     def samples(self) -> LineSamples:
         """Those of all frames so far."""
@@ -192,11 +201,14 @@ class LineJudge:
         return replace(samples, vehicle=np.array(names, dtype=np.str_))
 
 
+_Row = tuple[str, str, str, float, int, int, bool, bool, bool, bool, float]
+
+
 def judge_lines(
     road: Road, book: PassageBook, scene: Scene, mine: Lines, true: Lines
 ) -> LineSamples:
     """The samples of one moment: `mine` held against `true`, both of the same road and scene."""
-    rows: list[tuple[str, str, str, float, int, int, bool, bool, bool, bool, float]] = []
+    rows: list[_Row] = []
     for k in np.flatnonzero((true.line >= 0) & (scene.kind != Kind.PEDESTRIAN)).tolist():
         front_m = float(true.s_m[k]) + 0.5 * float(scene.size_m[k, 0])
         ahead = (one for one in book.passages(int(true.line[k])) if one.end_s_m > front_m)
@@ -226,6 +238,11 @@ def judge_lines(
                 float(mine.probability[k]) if line >= 0 else 0.0,
             )
         )
+    return _samples(rows)
+
+
+def _samples(rows: Sequence[_Row]) -> LineSamples:
+    """The columns of rows in the order of the fields."""
     columns = list(zip(*rows, strict=True)) or [()] * len(fields(LineSamples))
     vehicle, approach, way, distance_m, blinker, turn, *flags, probability = columns
     has_choice, has_line, exits, lanes = (np.array(flag, dtype=np.bool_) for flag in flags)

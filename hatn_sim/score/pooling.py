@@ -22,8 +22,8 @@ def check_pool(runs: Sequence[Run]) -> None:
     """Refuse to pool runs of one scene whose scores are not of the same thing.
 
     Raises:
-        InputError: two runs differ in predictors, lines, density, risk, weights, adaptation or in
-            who drove, or are one run, given twice.
+        InputError: two runs differ in predictors, lines, density, risk, map, weights, adaptation or
+            in who drove, or are one run, given twice.
     """
     first = runs[0]
     known: dict[tuple[Any, str], Run] = {}
@@ -63,6 +63,7 @@ def _made_with(run: Run) -> dict[str, Any]:
         "lines": "route" if run.by_route else "inferred",
         "density": settings.get("density"),
         "risk": settings.get("risk"),
+        "map": settings.get("map"),
         "adapt": run.header.get("adapt", "none"),
         **{f"weights of {name}": str(sha256)[:12] for name, sha256 in weights.items()},
     }

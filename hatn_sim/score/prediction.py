@@ -1,7 +1,8 @@
 """Scores of the predictors in the log of a run (METHOD 1.8 and 6).
 
 Every predictor is scored on the same samples: every vehicle but pedestrians with 11 frames behind
-and 30 ahead, every 0.5 s, those without a reference line included.
+(in cases of the INTERACTION data set, which begin 10 frames before their present: 10) and 30 ahead,
+every 0.5 s, those without a reference line included.
 
 | measure | unit | what it is |
 |---|---|---|
@@ -101,24 +102,26 @@ def score_run(run: Run) -> list[Score]:
 def score_runs(runs: Sequence[Run]) -> list[Score]:
     """Scores of every predictor, over all runs of a scene together; one list for each scene.
 
-    Intervals are bootstrapped over runs where a scene has at least five, else over vehicles (see
-    `clustered_over`). What a predictor cannot have is there with value None and n = 0.
+    Intervals are bootstrapped over runs, or over recordings or cases, where a scene has at least
+    five of them, else over vehicles (see `clustered_over`). What a predictor cannot have is there
+    with value None and n = 0.
 
     Raises:
         InputError: runs of one scene cannot be pooled (see `check_pool`), a predictor said
             something that is not finite, or a log is damaged.
     """
     scores: list[Score] = []
-    over_runs = clustered_over(runs) == "runs"
+    clustered = clustered_over(runs)
     for scene, of_scene in by_scene(runs).items():
         check_pool(of_scene)
         measured = [_measure_run(run) for run in of_scene]
+        clusters = [_clusters(run, clustered) for run in of_scene]
         for predictor in of_scene[0].predictors:
             name = reported_name(of_scene[0], predictor)
             adapt = measured[0][predictor].adapt
             for measure, subset in ROWS:
                 parts = [each[predictor].measures.get((measure, subset)) for each in measured]
-                value, n, bounds = _pooled(parts, over_runs=over_runs)
+                value, n, bounds = _pooled(parts, clusters)
                 low, high = bounds or (None, None)
                 unit = UNITS[measure]
                 scores.append(Score(measure, name, scene, subset, adapt, value, unit, n, low, high))
@@ -131,10 +134,24 @@ def reported_name(run: Run, predictor: str) -> str:
 
 
 def clustered_over(runs: Sequence[Run]) -> str:
-    """What the intervals of `score_runs` are bootstrapped over: "runs" or "vehicles"."""
+    """What the intervals of `score_runs` are bootstrapped over: "runs", "recordings", "cases" or
+    "vehicles"."""
     # One answer for all scenes, so that a table can say it once.
-    fewest = min((len(of_scene) for of_scene in by_scene(runs).values()), default=0)
-    return "runs" if fewest >= intervals.MIN_RUNS else "vehicles"
+    scenes = by_scene(runs).values()
+    if min(map(len, scenes), default=0) >= intervals.MIN_RUNS:
+        return "runs"
+    kinds = {run.ids_by for run in runs}
+    counts = [sum(len(set(run.recording_of.tolist())) for run in one) for one in scenes]
+    if len(kinds) == 1 and min(counts, default=0) >= intervals.MIN_RUNS:
+        return kinds.pop() or "vehicles"
+    return "vehicles"
+
+
+def _clusters(run: Run, clustered: str) -> IntArray:
+    """[V] the cluster of every vehicle in its run."""
+    if clustered == "runs":
+        return np.zeros(len(run.ids), dtype=np.int64)
+    return np.arange(len(run.ids)) if clustered == "vehicles" else run.recording_of
 
 
 def _measure_run(run: Run) -> dict[str, _OfPredictor]:
@@ -145,7 +162,7 @@ def _measure_run(run: Run) -> dict[str, _OfPredictor]:
 def _samples(run: Run) -> _Samples:
     """The samples that every predictor of the run has an answer for."""
     trajectories = run.trajectories
-    vehicle, frame = samples(trajectories)
+    vehicle, frame = samples(trajectories, history_frames=run.history_frames)
     kept = run.kinds[vehicle] != Kind.PEDESTRIAN
     for predictor in run.predictors:
         answered = _key(*run.predicted(predictor, SAMPLE_EVERY_FRAMES))
@@ -277,19 +294,19 @@ def _mean(value: NDArray[Any], vehicle: IntArray) -> _Measured:
 
 
 def _pooled(
-    parts: Sequence[_Measured | None], *, over_runs: bool
+    parts: Sequence[_Measured | None], clusters: Sequence[IntArray]
 ) -> tuple[float | None, int, tuple[float, float] | None]:
-    """(value, n, interval) of a measure over runs; `parts` has None where a run has no value."""
+    """(value, n, interval) of a measure over runs; `parts` has None where a run has no value.
+
+    `clusters` [V] are those of the vehicles of each run.
+    """
     present = [(number, part) for number, part in enumerate(parts) if part is not None]
     if not present:
         return None, 0, None
     statistic = present[0][1].statistic
     terms = np.concatenate([part.terms for _, part in present])
     cluster = np.concatenate(
-        [
-            np.full(len(part.vehicle), number) if over_runs else (number << 32) + part.vehicle
-            for number, part in present
-        ]
+        [(number << 32) + clusters[number][part.vehicle] for number, part in present]
     )
     sums = intervals.cluster_sums(terms, cluster)
     value = float(statistic(sums.sum(axis=0)))
