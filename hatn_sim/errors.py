@@ -22,10 +22,15 @@ class SimulatorError(HatnSimError):
     """The simulator failed in the middle of a run. Exit code 1."""
 
 
+TOLD_NAMES = 20
+"""Of a recording's thousands of vehicles not all are listed."""
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
-    """`; did you mean 'a' or 'b'?` for the known words nearest to `word`, or the list of all."""
+    """`; did you mean 'a' or 'b'?` for the known words nearest to `word`, or the first of all."""
     names = sorted(known)
     close = difflib.get_close_matches(word, names, n=3, cutoff=0.5)
     if close:
         return "; did you mean " + " or ".join(repr(name) for name in close) + "?"
-    return "; known: " + ", ".join(names)
+    more = f" and {len(names) - TOLD_NAMES:,} more" if len(names) > TOLD_NAMES else ""
+    return "; known: " + ", ".join(names[:TOLD_NAMES]) + more

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hatn_sim import cli
+from hatn_sim.errors import nearest
 from hatn_sim.log import Run, read_run
 from hatn_sim.resources import find_scenarios
 
@@ -120,3 +121,9 @@ def test_a_run_replayed_inside_sumo(capsys: pytest.CaptureFixture[str]) -> None:
     after = [t for t in driven if at_s < t <= at_s + 3.0]
     np.testing.assert_allclose([driven[t] for t in after], own[at_s], atol=1e-6)
     assert all(driven[t] == own[t] for t in driven if t <= at_s)
+
+
+def test_of_thousands_of_names_some_are_told() -> None:
+    known = [f"{k:04}" for k in range(3000)]
+    assert nearest("x", known[:20]) == "; known: " + ", ".join(known[:20])
+    assert nearest("x", known) == "; known: " + ", ".join(known[:20]) + " and 2,980 more"
