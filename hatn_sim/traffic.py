@@ -22,7 +22,7 @@ def open_traffic(scenario: Scenario) -> Simulator:
         recording = open_recording(scenario.name, scenario.recorded)
         if scenario.recorded.replay is None:
             return RecordedSimulator(recording)
-        from hatn_sim.simulators.sumo_replay import open_replay
+        from hatn_sim.simulators.sumo_replay.simulator import open_replay
 
         replay = scenario.recorded.replay
         return open_replay(recording, replay.net_path, replay.take_over, replay.react_from_s)

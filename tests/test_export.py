@@ -20,7 +20,7 @@ from hatn_sim.datatypes import Frame, Kind, Recording
 from hatn_sim.errors import InputError
 from hatn_sim.log import RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
-from hatn_sim.recordings.fcd_export import export_fcd
+from hatn_sim.recordings.fcd.export import export_fcd
 from hatn_sim.recordings.find import open_recording
 from hatn_sim.simulators.sumo import SumoSimulator
 

@@ -14,9 +14,9 @@ import pytest
 from hatn_sim.config import RecordedSource, Scenario, load_scenario
 from hatn_sim.datatypes import Frame, Kind
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.fcd import FcdRecording
+from hatn_sim.recordings.fcd.recording import FcdRecording
+from hatn_sim.recordings.fcd.vehicle_types import guessed, of_class, read_colour, read_types
 from hatn_sim.recordings.maps import read_lanes
-from hatn_sim.recordings.vehicle_types import guessed, of_class, read_colour, read_types
 from hatn_sim.simulators.sumo import SumoSimulator
 
 NETS = Path(__file__).parent / "nets"
@@ -276,13 +276,13 @@ def test_times_may_be_written_for_people(tmp_path: Path) -> None:
 def test_the_file_is_streamed_and_read_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hatn_sim.recordings import fcd
+    from hatn_sim.recordings.fcd import recording as module
 
     content = steps(tenths(0, 6000), ("a", "b"), x=-100, speed=0)
     played = recording(write(tmp_path / "f.xml", content))
     assert played.notices
     read = 0
-    really_read = fcd.read_timesteps
+    really_read = module.read_timesteps
 
     def counted(path: Path) -> object:
         nonlocal read
@@ -290,7 +290,7 @@ def test_the_file_is_streamed_and_read_anew(
             read += 1
             yield step
 
-    monkeypatch.setattr(fcd, "read_timesteps", counted)
+    monkeypatch.setattr(module, "read_timesteps", counted)
     frames = played.frames()
     assert next(frames).scene.time_s == 0.0
     assert read <= 2

@@ -17,7 +17,7 @@ HIGHWAY = tuple(f"simulators.highway{part}" for part in ("", "_environment", "_l
 ONLY_IN = {
     "torch": ("hatn", "learn"),
     "safetensors": ("hatn", "learn"),
-    "libsumo": ("simulators.sumo_worker", "simulators.sumo_replay_worker"),
+    "libsumo": ("simulators.sumo_worker", "simulators.sumo_replay.worker"),
     "traci": (),
     "sumolib": (),
     "highway_env": HIGHWAY,

@@ -21,11 +21,11 @@ from hatn_sim.datatypes import Frame, Kind, Scene, Truth
 from hatn_sim.errors import InputError
 from hatn_sim.log import RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
-from hatn_sim.recordings import interaction_checks, interaction_scan, interaction_table, spool
 from hatn_sim.recordings.find import open_recording
-from hatn_sim.recordings.interaction import CASE_NOW, GAP_FRAMES, InteractionRecording
-from hatn_sim.recordings.interaction_export import export_interaction
-from hatn_sim.recordings.lanelet2_write import write_lanelet2
+from hatn_sim.recordings.interaction import checks, scan, spool, table
+from hatn_sim.recordings.interaction.export import export_interaction
+from hatn_sim.recordings.interaction.recording import CASE_NOW, GAP_FRAMES, InteractionRecording
+from hatn_sim.recordings.lanelet2.writer import write_lanelet2
 from hatn_sim.score.prediction import score_run
 from hatn_sim.traffic import open_traffic
 
@@ -291,7 +291,7 @@ def test_files_may_be_sorted_and_written_otherwise(
 def test_a_large_file_that_loses_its_order_is_refused(
     tmp_path: Path, played: Callable[..., list[Frame]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(interaction_table, "BLOCK_BYTES", 1000)
+    monkeypatch.setattr(table, "BLOCK_BYTES", 1000)
     rows = car(1, 1, 30) + car(2, 1, 30)
     rows.append(rows.pop(29))
     write(tmp_path / "vehicle_tracks_000.csv", rows)
@@ -323,7 +323,7 @@ def test_small_blocks_and_temporary_files_change_nothing(
 
     monkeypatch.setattr(spool.Spool, "_to_files", watched)
     monkeypatch.setattr(spool, "MEMORY_BYTES", 20_000)
-    monkeypatch.setattr(interaction_table, "BLOCK_BYTES", 2_000)
+    monkeypatch.setattr(table, "BLOCK_BYTES", 2_000)
     frames = played("vehicle_tracks_000.csv")
     assert len(made) > 5 and not made[0].exists()
     assert len(frames) == len(expected)
@@ -337,9 +337,9 @@ def test_memory_does_not_grow_with_the_file(
     tmp_path: Path, map_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(spool, "MEMORY_BYTES", 100_000)
-    monkeypatch.setattr(interaction_table, "BLOCK_BYTES", 50_000)
-    monkeypatch.setattr(interaction_checks, "MOST_STEPS", 1000)
-    monkeypatch.setattr(interaction_scan, "MOST_PLACES", 1000)
+    monkeypatch.setattr(table, "BLOCK_BYTES", 50_000)
+    monkeypatch.setattr(checks, "MOST_STEPS", 1000)
+    monkeypatch.setattr(scan, "MOST_PLACES", 1000)
     peaks: list[int] = []
     for count in (100, 800):
         rows = [row for k in range(count) for row in car(k, 1 + 10 * k, 90)]

@@ -17,9 +17,9 @@ from conftest import crossing_lanes
 
 from hatn_sim.datatypes import FloatArray, Gate, Kind, Lane
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.lanelet2 import read_lanelet2
-from hatn_sim.recordings.lanelet2_rules import MOTOR, ROAD_KINDS, speed_mps
-from hatn_sim.recordings.lanelet2_write import write_lanelet2
+from hatn_sim.recordings.lanelet2.reader import read_lanelet2
+from hatn_sim.recordings.lanelet2.rules import MOTOR, ROAD_KINDS, speed_mps
+from hatn_sim.recordings.lanelet2.writer import write_lanelet2
 from hatn_sim.resources import find_scenarios
 
 needs_lanelet2 = pytest.mark.skipif(sys.platform != "linux", reason="has wheels for Linux only")

@@ -15,11 +15,11 @@ from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Gate, Kind, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.log.road_file import write_road
-from hatn_sim.recordings import sumo_net_export
-from hatn_sim.recordings.sumo_net_check import check_net
-from hatn_sim.recordings.sumo_net_cut import cut_long
-from hatn_sim.recordings.sumo_net_export import write_net
-from hatn_sim.recordings.sumo_net_plan import plan_net
+from hatn_sim.recordings.sumo_net import export
+from hatn_sim.recordings.sumo_net.check import check_net
+from hatn_sim.recordings.sumo_net.cut import cut_long
+from hatn_sim.recordings.sumo_net.export import write_net
+from hatn_sim.recordings.sumo_net.plan import plan_net
 from hatn_sim.simulators.sumo_net import read_net
 
 SCENES = ("intersection4_allway", "intersection5", "roundabout4_two_lane", "roundabout8")
@@ -192,7 +192,7 @@ def test_what_is_asked_wrongly_is_said_in_one_line(
     assert "cannot be written" in said(str(road), "--out", str(road / "x.net.xml"))
     write_road(road, [])
     assert "found none" in said(str(road), "--out", str(tmp_path / "x.net.xml"))
-    monkeypatch.setattr(sumo_net_export.shutil, "which", lambda *_: None)
+    monkeypatch.setattr(export.shutil, "which", lambda *_: None)
     write_road(road, crossing_lanes())
     assert "pip install 'hatn-sim[gui]'" in said(str(road), "--out", str(tmp_path / "x.net.xml"))
     with pytest.raises(InputError, match="no lane for vehicles"):

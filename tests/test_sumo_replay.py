@@ -17,12 +17,12 @@ from rich.console import Console
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Command, Frame, Kind, Lane, Scene, Truth
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.sumo_net_export import find_netconvert
+from hatn_sim.recordings.sumo_net.export import find_netconvert
 from hatn_sim.report.replay_table import replay_scores, replay_table
 from hatn_sim.simulators.sumo import SumoSimulator
-from hatn_sim.simulators.sumo_replay import SumoReplay, open_replay, parse_take_over
-from hatn_sim.simulators.sumo_replay_figures import Quantiles
-from hatn_sim.simulators.sumo_replay_match import LaneMatcher
+from hatn_sim.simulators.sumo_replay.figures import Quantiles
+from hatn_sim.simulators.sumo_replay.match import LaneMatcher
+from hatn_sim.simulators.sumo_replay.simulator import SumoReplay, open_replay, parse_take_over
 from hatn_sim.simulators.touching import boxes_touch, touching_pairs, touching_rows_of
 
 WARM_UP_FRAMES = 300

@@ -70,10 +70,10 @@ def _export(run: Run, wanted: str, out: Path) -> tuple[Path, ...]:
 
     try:
         if wanted == "fcd":
-            from hatn_sim.recordings.fcd_export import export_fcd
+            from hatn_sim.recordings.fcd.export import export_fcd
 
             return export_fcd(run, out)
-        from hatn_sim.recordings.interaction_export import export_interaction
+        from hatn_sim.recordings.interaction.export import export_interaction
 
         return export_interaction(run, out)
     except OSError as error:

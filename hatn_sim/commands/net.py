@@ -40,8 +40,8 @@ def main(arguments: argparse.Namespace) -> int:
 
     from hatn_sim.errors import InputError
     from hatn_sim.recordings.maps import read_lanes
-    from hatn_sim.recordings.sumo_net_check import check_net
-    from hatn_sim.recordings.sumo_net_export import write_net
+    from hatn_sim.recordings.sumo_net.check import check_net
+    from hatn_sim.recordings.sumo_net.export import write_net
     from hatn_sim.simulators.sumo_net import read_net
 
     out: Path = arguments.out

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
     from hatn_sim.log import Run, RunWriter
     from hatn_sim.loop import Driver
-    from hatn_sim.simulators.sumo_replay_figures import Divergence, Fidelity
+    from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
 EXAMPLES = """examples:
   hatn-sim run intersection5
@@ -155,7 +155,7 @@ def main(arguments: argparse.Namespace) -> int:
 def _ids_by(simulator: Simulator) -> str:
     """What ids name before their first colon; see `Recording`."""
     from hatn_sim.simulators.recorded import RecordedSimulator
-    from hatn_sim.simulators.sumo_replay import SumoReplay
+    from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
     recorded = isinstance(simulator, RecordedSimulator | SumoReplay)
     return simulator.recording.ids_by if recorded else ""
@@ -200,7 +200,7 @@ def _load_drivers(arguments: argparse.Namespace) -> dict[str, Driver]:
 
 def _driven(arguments: argparse.Namespace) -> dict[str, float | None]:
     """The vehicles of --drive, and from when on."""
-    from hatn_sim.simulators.sumo_replay import parse_take_over
+    from hatn_sim.simulators.sumo_replay.simulator import parse_take_over
 
     return parse_take_over(arguments.drive or "")
 
@@ -225,7 +225,7 @@ def _simulate(
 ) -> Simulated:
     from hatn_sim.commands.progress import Progress
     from hatn_sim.loop import Adviser, run, warm_up
-    from hatn_sim.simulators.sumo_replay import SumoReplay
+    from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
     egos = None if arguments.egos is None else frozenset(arguments.egos)
     advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]

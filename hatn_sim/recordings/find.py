@@ -24,11 +24,11 @@ def open_recording(name: str, source: RecordedSource) -> Recording:
         return RunRecording(first)
     names = [path.name.lower() for path in source.tracks]
     if all(other.endswith(".csv") for other in names):
-        from hatn_sim.recordings.interaction import InteractionRecording
+        from hatn_sim.recordings.interaction.recording import InteractionRecording
 
         return InteractionRecording(name, source)
     if all(other.endswith(_FCD) for other in names):
-        from hatn_sim.recordings.fcd import FcdRecording
+        from hatn_sim.recordings.fcd.recording import FcdRecording
 
         return FcdRecording(name, source)
     what = "a folder that is not of a run" if first.is_dir() else "files of other or mixed names"

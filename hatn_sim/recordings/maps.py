@@ -26,7 +26,7 @@ def read_lanes(path: Path) -> list[Lane]:
 def _read(path: Path) -> list[Lane]:
     name = path.name.lower()
     if name.endswith(_LANELET2):
-        from hatn_sim.recordings.lanelet2 import read_lanelet2
+        from hatn_sim.recordings.lanelet2.reader import read_lanelet2
 
         return read_lanelet2(path)
     if name.endswith(_SUMO):

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hatn_sim.datatypes import Score
-from hatn_sim.simulators.sumo_replay_figures import Divergence, Fidelity
+from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
 NONE: Final = "-"
 SHOWN_OVERLAPS: Final = 10

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.recordings.interaction_checks import Columns
-from hatn_sim.recordings.spool import Spool
+from hatn_sim.recordings.interaction.checks import Columns
+from hatn_sim.recordings.interaction.spool import Spool
 
 BUCKET_TRACKS: Final = 64
 """Tracks sorted at a time."""

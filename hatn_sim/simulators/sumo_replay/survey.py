@@ -11,7 +11,7 @@ import numpy as np
 
 from hatn_sim.datatypes import FloatArray, Frame, Kind, Recording, Route, Scene
 from hatn_sim.errors import InputError
-from hatn_sim.simulators.sumo_replay_match import LaneMatcher, Match
+from hatn_sim.simulators.sumo_replay.match import LaneMatcher, Match
 
 EVERY_FRAMES: Final = 3
 """Tracks are matched by every third frame, and by their last before that."""

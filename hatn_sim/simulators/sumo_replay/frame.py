@@ -8,8 +8,8 @@ import numpy as np
 
 from hatn_sim.datatypes import Frame, Route, Scene, Truth
 from hatn_sim.simulators.sumo_messages import RawFrame
-from hatn_sim.simulators.sumo_replay_figures import Overlap
-from hatn_sim.simulators.sumo_replay_plan import Look
+from hatn_sim.simulators.sumo_replay.figures import Overlap
+from hatn_sim.simulators.sumo_replay.plan import Look
 from hatn_sim.simulators.touching import touching_rows_of
 
 

@@ -18,14 +18,14 @@ from scipy.sparse.csgraph import connected_components
 
 from hatn_sim.datatypes import FloatArray, Gate, IntArray, Kind, Lane
 from hatn_sim.geometry import arc_length_m
-from hatn_sim.recordings.bounds import offset_line, split, thinned
-from hatn_sim.recordings.lanelet2 import ID_TAG, TURN_OF_DIRECTION
-from hatn_sim.recordings.lanelet2_rules import (
+from hatn_sim.recordings.lanelet2.bounds import offset_line, split, thinned
+from hatn_sim.recordings.lanelet2.osm import to_metres
+from hatn_sim.recordings.lanelet2.reader import ID_TAG, TURN_OF_DIRECTION
+from hatn_sim.recordings.lanelet2.rules import (
     KINDS_OF_SUBTYPE,
     KMH,
     PARTICIPANT_OF_KIND,
 )
-from hatn_sim.recordings.osm import to_metres
 
 STOP_LINE_BACK_M: Final = 0.3
 """Stop lines stand this far before the end of their lane."""

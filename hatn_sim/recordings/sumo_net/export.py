@@ -17,7 +17,7 @@ import numpy as np
 
 from hatn_sim.datatypes import FloatArray, Kind, Lane
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.sumo_net_plan import NetPlan, PlannedConnection, plan_net
+from hatn_sim.recordings.sumo_net.plan import NetPlan, PlannedConnection, plan_net
 from hatn_sim.simulators.sumo_config import first_error
 from hatn_sim.simulators.sumo_lanes import KIND_OF_CLASS
 

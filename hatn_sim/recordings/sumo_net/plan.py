@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, KDTree
 
 from hatn_sim.datatypes import FloatArray, Gate, Kind, Lane, Route
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
-from hatn_sim.recordings.sumo_net_cut import cut_long
+from hatn_sim.recordings.sumo_net.cut import cut_long
 
 OVERLAP_M: Final = 0.75
 """Centre lines of connections nearer than this to each other are of one junction."""

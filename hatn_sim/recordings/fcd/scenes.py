@@ -11,8 +11,8 @@ import numpy as np
 
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Scene
 from hatn_sim.errors import InputError, nearest
-from hatn_sim.recordings.fcd_rows import Row, Timestep
-from hatn_sim.recordings.vehicle_types import VehicleType, guessed, read_colour, type_of
+from hatn_sim.recordings.fcd.rows import Row, Timestep
+from hatn_sim.recordings.fcd.vehicle_types import VehicleType, guessed, read_colour, type_of
 
 PEDESTRIAN_PREFIX: Final = "person:"
 """As in a run of SUMO: persons and vehicles may bear the same name."""

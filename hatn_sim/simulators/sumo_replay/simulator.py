@@ -18,19 +18,19 @@ from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import Failed, Refused, ReplayFrame, ReplayStep, Started
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
-from hatn_sim.simulators.sumo_replay_figures import (
+from hatn_sim.simulators.sumo_replay.figures import (
     Divergence,
     DivergenceCount,
     Fidelity,
     FidelityCount,
     Overlap,
 )
-from hatn_sim.simulators.sumo_replay_frame import overlaps_of, shown_scene, shown_truth
-from hatn_sim.simulators.sumo_replay_match import LaneMatcher
-from hatn_sim.simulators.sumo_replay_plan import Cast, type_of
-from hatn_sim.simulators.sumo_replay_survey import BESIDE_SHARE, Survey, survey
+from hatn_sim.simulators.sumo_replay.frame import overlaps_of, shown_scene, shown_truth
+from hatn_sim.simulators.sumo_replay.match import LaneMatcher
+from hatn_sim.simulators.sumo_replay.plan import Cast, type_of
+from hatn_sim.simulators.sumo_replay.survey import BESIDE_SHARE, Survey, survey
 
-WORKER: Final = "hatn_sim.simulators.sumo_replay_worker"
+WORKER: Final = "hatn_sim.simulators.sumo_replay.worker"
 DRIVERS: Final = {
     Kind.CAR: ("passenger", 2.1, 3.3),
     Kind.VAN: ("delivery", 1.9, 3.3),

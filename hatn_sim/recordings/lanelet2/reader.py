@@ -24,10 +24,10 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, Gate, Kind, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.geometry import arc_length_m, tangent_rad
-from hatn_sim.recordings.bounds import centre_line, crossings, orientation, thinned
-from hatn_sim.recordings.lanelet2_gates import with_gates
-from hatn_sim.recordings.lanelet2_rules import MOTOR, is_one_way, kinds_of, speed_limit_mps
-from hatn_sim.recordings.osm import OsmMap, Relation, Way, read_osm
+from hatn_sim.recordings.lanelet2.bounds import centre_line, crossings, orientation, thinned
+from hatn_sim.recordings.lanelet2.gates import with_gates
+from hatn_sim.recordings.lanelet2.osm import OsmMap, Relation, Way, read_osm
+from hatn_sim.recordings.lanelet2.rules import MOTOR, is_one_way, kinds_of, speed_limit_mps
 
 _T = TypeVar("_T")
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from hatn_sim.datatypes import DT_S, Kind, Lane, Scene
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.fcd_rows import Timestep
+from hatn_sim.recordings.fcd.rows import Timestep
+from hatn_sim.recordings.fcd.vehicle_types import VehicleType, type_of
 from hatn_sim.recordings.fit import distance_to_lanes_m
-from hatn_sim.recordings.vehicle_types import VehicleType, type_of
 
 HEAD_SAMPLES: Final = 2000
 """Positions of vehicles looked at before the first frame is given."""

@@ -11,7 +11,7 @@ import numpy as np
 from hatn_sim.datatypes import Command, FloatArray, IntArray, Kind, Route, Scene
 from hatn_sim.errors import InputError, nearest
 from hatn_sim.simulators.sumo_messages import Newcomer, ReplayFrame, ReplayStep
-from hatn_sim.simulators.sumo_replay_survey import Survey, front_xy_m
+from hatn_sim.simulators.sumo_replay.survey import Survey, front_xy_m
 from hatn_sim.simulators.touching import boxes_touch
 
 ENTRY_GAP_M: Final = 2.0

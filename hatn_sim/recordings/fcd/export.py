@@ -15,8 +15,8 @@ from hatn_sim.datatypes import Frame, Kind, Scene
 from hatn_sim.errors import InputError
 from hatn_sim.log import Run
 from hatn_sim.log.road_file import ROAD_FILE, read_road, write_road
-from hatn_sim.recordings.fcd_rows import CLOSED_ATTRIBUTE
-from hatn_sim.recordings.fcd_scenes import LEFT_BLINKER, RIGHT_BLINKER
+from hatn_sim.recordings.fcd.rows import CLOSED_ATTRIBUTE
+from hatn_sim.recordings.fcd.scenes import LEFT_BLINKER, RIGHT_BLINKER
 
 FCD_FILE: Final = "fcd.xml.gz"
 _HEAD: Final = (

@@ -19,10 +19,10 @@ from hatn_sim.datatypes import DT_S, IntArray, Kind
 from hatn_sim.log import Run
 from hatn_sim.log.reader import TrackTable
 from hatn_sim.log.road_file import ROAD_FILE, read_road
-from hatn_sim.recordings.interaction_checks import COLUMNS, STEP_MS
-from hatn_sim.recordings.interaction_files import ID_COLUMNS
-from hatn_sim.recordings.interaction_table import KIND_OF_AGENT
-from hatn_sim.recordings.lanelet2_write import write_lanelet2
+from hatn_sim.recordings.interaction.checks import COLUMNS, STEP_MS
+from hatn_sim.recordings.interaction.files import ID_COLUMNS
+from hatn_sim.recordings.interaction.table import KIND_OF_AGENT
+from hatn_sim.recordings.lanelet2.writer import write_lanelet2
 
 VEHICLES_FILE: Final = "vehicle_tracks_000.csv"
 PEDESTRIANS_FILE: Final = "pedestrian_tracks_000.csv"

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Kind
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.interaction_checks import (
+from hatn_sim.recordings.interaction.checks import (
     BODY,
     CASE,
     COLUMNS,
@@ -32,7 +32,7 @@ from hatn_sim.recordings.interaction_checks import (
     check_order,
     check_steps,
 )
-from hatn_sim.recordings.interaction_order import by_track
+from hatn_sim.recordings.interaction.order import by_track
 
 ROW: Final = np.dtype(
     [

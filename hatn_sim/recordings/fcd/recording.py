@@ -13,12 +13,12 @@ from hatn_sim.config import RecordedSource
 from hatn_sim.datatypes import DT_S, Frame, Lane, Scene, Truth
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.ending import with_end
-from hatn_sim.recordings.fcd_head import Moment, check_net, check_speeds, first_moments, lacks
-from hatn_sim.recordings.fcd_rows import Timestep, read_timesteps
-from hatn_sim.recordings.fcd_scenes import SceneReader
+from hatn_sim.recordings.fcd.head import Moment, check_net, check_speeds, first_moments, lacks
+from hatn_sim.recordings.fcd.rows import Timestep, read_timesteps
+from hatn_sim.recordings.fcd.scenes import SceneReader
+from hatn_sim.recordings.fcd.vehicle_types import VehicleType, read_types
 from hatn_sim.recordings.maps import read_lanes
 from hatn_sim.recordings.pause import check_pause
-from hatn_sim.recordings.vehicle_types import VehicleType, read_types
 
 GRID_TOLERANCE_S: Final = 0.006
 """SUMO writes times to two decimals."""

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import FloatArray, Kind, Lane
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
-from hatn_sim.recordings.sumo_net_plan import NetPlan
+from hatn_sim.recordings.sumo_net.plan import NetPlan
 
 STEP_M: Final = 0.05
 GIVEN_EVERY: Final = 20

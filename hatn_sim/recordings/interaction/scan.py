@@ -15,9 +15,9 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.fit import distance_to_lanes_m
-from hatn_sim.recordings.interaction_files import Recorded, among, read_ids
-from hatn_sim.recordings.interaction_table import InteractionTable, Rows
-from hatn_sim.recordings.spool import Spool
+from hatn_sim.recordings.interaction.files import Recorded, among, read_ids
+from hatn_sim.recordings.interaction.spool import Spool
+from hatn_sim.recordings.interaction.table import InteractionTable, Rows
 
 BUCKET_FRAMES: Final = 600
 BUCKET_PARTS: Final = 256

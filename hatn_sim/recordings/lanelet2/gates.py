@@ -12,9 +12,9 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, Gate, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.geometry import arc_length_m
-from hatn_sim.recordings.bounds import crossings, split
-from hatn_sim.recordings.lanelet2_rules import MOTOR, gate_of
-from hatn_sim.recordings.osm import OsmMap
+from hatn_sim.recordings.lanelet2.bounds import crossings, split
+from hatn_sim.recordings.lanelet2.osm import OsmMap
+from hatn_sim.recordings.lanelet2.rules import MOTOR, gate_of
 
 AT_END_M: Final = 2.0
 """A line nearer to the end of a lane stands at its end; further inside, the lane is cut there."""

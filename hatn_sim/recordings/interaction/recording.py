@@ -27,13 +27,13 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.ending import with_end
-from hatn_sim.recordings.interaction_checks import STEP_MS
-from hatn_sim.recordings.interaction_files import Recorded, group_files, refuse_unknown
-from hatn_sim.recordings.interaction_scan import Part, Scan, scan
-from hatn_sim.recordings.interaction_table import ROW, InteractionTable, Rows
+from hatn_sim.recordings.interaction.checks import STEP_MS
+from hatn_sim.recordings.interaction.files import Recorded, group_files, refuse_unknown
+from hatn_sim.recordings.interaction.scan import Part, Scan, scan
+from hatn_sim.recordings.interaction.spool import Spool
+from hatn_sim.recordings.interaction.table import ROW, InteractionTable, Rows
 from hatn_sim.recordings.maps import read_lanes
 from hatn_sim.recordings.pause import check_pause
-from hatn_sim.recordings.spool import Spool
 
 GAP_FRAMES: Final = HISTORY_FRAMES
 """Empty frames between two recordings, at least."""

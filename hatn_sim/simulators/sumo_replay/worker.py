@@ -1,4 +1,4 @@
-"""The process of a replay inside SUMO: `python -m hatn_sim.simulators.sumo_replay_worker`.
+"""The process of a replay inside SUMO: `python -m hatn_sim.simulators.sumo_replay.worker`.
 
 It is served as `sumo_worker.py` is. Every message after the options is a `ReplayStep`, and the
 answer a `ReplayFrame`.

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from hatn_sim.datatypes import Gate, Kind
-from hatn_sim.recordings.osm import OsmMap, Relation
+from hatn_sim.recordings.lanelet2.osm import OsmMap, Relation
 
 MOTOR: Final = frozenset(
     {Kind.CAR, Kind.VAN, Kind.LORRY, Kind.BUS, Kind.MOTORCYCLE, Kind.OTHER}

@@ -1,0 +1,1 @@
+"""SUMO's floating car data: read as it comes, and written."""

@@ -1,0 +1,1 @@
+"""Tracks in INTERACTION format: CSV files, read in bounded memory, and written."""

@@ -1,0 +1,1 @@
+"""Lanelet2 maps: read into lanes, and written."""

@@ -1,0 +1,1 @@
+"""A SUMO net from any list of lanes."""

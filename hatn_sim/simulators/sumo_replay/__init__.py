@@ -1,0 +1,1 @@
+"""A recording replayed inside SUMO, where its vehicles can be taken over."""
