@@ -74,9 +74,9 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
     has_conflict: BoolArray = np.asarray(node_mask[:, 1:].any(axis=1))
     gates = _next_gates(road, seen)
     front, front_type, front_s = _fronts(seen, gates, rear, rear_m, node_mask, has_conflict)
-    x, history = _features(road, seen, rear, rear_m, front, front_type, front_s, node_mask)
-    context = _context(road, seen, gates, ego, rear, front, (ego_m, rear_m), focus, kind)
-    context[~node_mask] = 0.0
+    x, history = _features(road, seen, rear, rear_m, front, front_s, node_mask)
+    to_conflict_m = (ego_m, rear_m)
+    context = _context(road, seen, gates, ego, rear, front, to_conflict_m, focus, kind, node_mask)
     point_xy = road.locate(
         np.repeat(seen.lines.line[ego], MAX_NODES), conflict_s.ravel(), np.zeros(conflict_s.size)
     ).reshape(*conflict_s.shape, 2)
@@ -161,15 +161,17 @@ def active_conflicts(road: Road, seen: Perception, ego: IntArray) -> Active:
     met = road.conflict_table.of_pairs(line[near[:, 0]], line[near[:, 1]])
     pair = near[met.pair]
     to_m = met.point_s_m - s[pair]
-    active = ((to_m > -PASSED_M) & (to_m <= INTERACTION_M)).all(axis=1)
+    within = (to_m > -PASSED_M) & (to_m <= INTERACTION_M)
+    active = within[:, 0] & within[:, 1]
     pair, to_m, kind = pair[active], to_m[active], met.type[active]
     ego_of = np.concatenate((pair[:, 0], pair[:, 1]))
     other = np.concatenate((pair[:, 1], pair[:, 0]))
     ego_m = np.concatenate((to_m[:, 0], to_m[:, 1]))
     other_m = np.concatenate((to_m[:, 1], to_m[:, 0]))
     kind = np.concatenate((kind, kind))
-    order = np.lexsort((ego_m, ego_of * len(ids) + other))
-    both = (ego_of * len(ids) + other)[order]
+    key = ego_of * len(ids) + other
+    order = np.lexsort((ego_m, key))
+    both = key[order]
     first = order[np.concatenate(([True], both[1:] != both[:-1]))] if len(order) else order
     other = other[first]
     rank = np.argsort(np.argsort(np.array(ids)))[other] if len(other) else other
@@ -241,30 +243,31 @@ def _features(
     rear: IntArray,
     rear_m: FloatArray,
     front: IntArray,
-    front_type: IntArray,
     front_s: FloatArray,
     node_mask: BoolArray,
 ) -> tuple[FloatArray, BoolArray]:
     """The paper's seven features over the history [E, M, T, 7], and where both ends were seen."""
-    ahead = _leader_motion(road, seen)
-    at = np.maximum(rear, 0)
+    ahead, own = _leader_motion(road, seen), seen.own
     half_m = 0.5 * seen.scene.size_m[:, 0]
-    own, valid = seen.own, seen.tracks.valid[:, -HISTORY_FRAMES:]
-    conflict_s = (seen.lines.s_m[at] + rear_m)[:, :, None]
+    valid = seen.tracks.valid[:, -HISTORY_FRAMES:]
+    e, m = np.nonzero(node_mask)
+    at, before = rear[e, m], np.maximum(front[e, m], 0)
+    is_vehicle = (front[e, m] >= 0)[:, None]
+    conflict_s = (seen.lines.s_m[at] + rear_m[e, m])[:, None]
+    moving_front = conflict_s - (ahead.s_m[at] - half_m[before][:, None])
+    of_node = np.empty((len(at), HISTORY_FRAMES, 7))
+    of_node[..., 0] = np.where(is_vehicle, moving_front, conflict_s - front_s[e, m][:, None])
+    of_node[..., 1] = np.where(is_vehicle, ahead.speed_mps[at], 0.0)
+    of_node[..., 2] = np.where(is_vehicle, ahead.phi_rad[at], 0.0)
+    of_node[..., 3] = conflict_s - (own.s_m[at] + half_m[at][:, None])
+    of_node[..., 4] = own.speed_mps[at]
+    of_node[..., 5] = own.phi_rad[at]
+    of_node[..., 6] = of_node[..., 3] - of_node[..., 0]
     x = np.zeros((*rear.shape, HISTORY_FRAMES, 7))
-    is_vehicle = (front >= 0)[:, :, None]
-    lead_half = half_m[np.maximum(front, 0)][:, :, None]
-    moving_front = conflict_s - (ahead.s_m[at] - lead_half)
-    x[..., 0] = np.where(is_vehicle, moving_front, conflict_s - front_s[:, :, None])
-    x[..., 1] = np.where(is_vehicle, ahead.speed_mps[at], 0.0)
-    x[..., 2] = np.where(is_vehicle, ahead.phi_rad[at], 0.0)
-    x[..., 3] = conflict_s - (own.s_m[at] + half_m[at][:, :, None])
-    x[..., 4] = own.speed_mps[at]
-    x[..., 5] = own.phi_rad[at]
-    x[..., 6] = x[..., 3] - x[..., 0]
-    x[~node_mask] = 0.0
-    history = valid[at] & (~is_vehicle | valid[np.maximum(front, 0)])
-    return x, history & node_mask[:, :, None]
+    x[e, m] = of_node
+    history = np.zeros((*rear.shape, HISTORY_FRAMES), dtype=np.bool_)
+    history[e, m] = valid[at] & (~is_vehicle | valid[before])
+    return x, history
 
 
 def _leader_motion(road: Road, seen: Perception) -> Motion:
@@ -286,37 +289,37 @@ def _context(
     to_conflict_m: tuple[FloatArray, FloatArray],
     focus: BoolArray,
     kind: IntArray,
+    node_mask: BoolArray,
 ) -> FloatArray:
     """What holds now [E, M, CONTEXT_SIZE], see `CONTEXT`."""
-    at = np.maximum(rear, 0)
-    ego_m, rear_m = to_conflict_m
-    vehicle = _vehicle_context(road, seen, gates)
-    context = np.empty((*rear.shape, CONTEXT_SIZE))
+    e, m = np.nonzero(node_mask)
+    at, mine = rear[e, m], ego[e]
+    ego_m, rear_m = to_conflict_m[0][e, m], to_conflict_m[1][e, m]
+    vehicle, speed = _vehicle_context(road, seen, gates), seen.own.speed_mps[:, -1]
+    of_node = np.empty((len(at), CONTEXT_SIZE))
 
     def put(name: str, values: FloatArray | IntArray | BoolArray) -> None:
-        context[..., _COLUMN[name]] = values
+        of_node[:, _COLUMN[name]] = values
 
-    context[..., :ROAD_CONTEXT] = vehicle.road[at]
+    of_node[:, :ROAD_CONTEXT] = vehicle.road[at]
     put("waited_s of the rear vehicle", seen.waited_s[at])
-    put("waited_s of the ego", seen.waited_s[ego, None])
+    put("waited_s of the ego", seen.waited_s[mine])
     put("length_m of the rear vehicle", seen.scene.size_m[at, 0])
     put("gate ahead of the rear vehicle before the conflict", vehicle.to_gate_m[at] <= rear_m)
-    put("gate ahead of the ego before the conflict", vehicle.to_gate_m[ego, None] <= ego_m)
-    put("conflict is a merge", kind)
-    put("node is of the focus group", focus)
+    put("gate ahead of the ego before the conflict", vehicle.to_gate_m[mine] <= ego_m)
+    put("conflict is a merge", kind[e, m])
+    put("node is of the focus group", focus[e, m])
     put("acceleration_mps2 of the rear vehicle", vehicle.acceleration_mps2[at])
     put("lateral_m of the rear vehicle", seen.lines.d_m[at])
     put("distance_m of the rear vehicle to its leader, up to FREE_M", vehicle.gap_m[at])
     put("speed_mps of the leader of the rear vehicle", vehicle.leader_mps[at])
     put("leader there", seen.leader[at] >= 0)
-    speed = seen.own.speed_mps[:, -1]
-    put(
-        "earliest_s of the rear vehicle at the conflict, up to FAR_S",
-        _earliest_s(rear_m, speed[at]),
-    )
-    earliest_s = _earliest_s(ego_m, speed[ego, None])
-    put("earliest_s of the ego at the node's conflict, up to FAR_S", earliest_s)
-    put("front is a vehicle of the focus group", _queued(rear, front, focus))
+    rear_s, ego_s = _earliest_s(rear_m, speed[at]), _earliest_s(ego_m, speed[mine])
+    put("earliest_s of the rear vehicle at the conflict, up to FAR_S", rear_s)
+    put("earliest_s of the ego at the node's conflict, up to FAR_S", ego_s)
+    put("front is a vehicle of the focus group", _queued(rear, front, focus)[e, m])
+    context = np.zeros((*rear.shape, CONTEXT_SIZE))
+    context[e, m] = of_node
     return context
 
 
