@@ -19,7 +19,13 @@ DEFAULT_DENSITY = "normal"
 DEFAULT_RISK = "courteous"
 MOST_NAMED = 100_000
 """Recordings or cases in one span of names."""
-SIMULATORS = ("sumo", "highway", "recorded")
+KEYS_OF_SIMULATOR = {
+    "sumo": ("config", "density", "risk"),
+    "highway": ("highway", "density"),
+    "recorded": ("recorded",),
+}
+"""What a scenario.toml may hold beside what all of them do."""
+SIMULATORS = tuple(KEYS_OF_SIMULATOR)
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,11 @@ def load_scenario(
     if (path / "run.json").is_file():
         _refuse_traffic(name_or_path, density, risk)
         return load_tracks((name_or_path,), None)
+    if path.is_dir() and not (path / "scenario.toml").is_file():
+        raise InputError(
+            f"{path}: expected the folder of a scene (with a scenario.toml) or of a run (with a "
+            "run.json), found neither; name another"
+        )
     if path.is_dir():
         path = path / "scenario.toml"
     if path.suffix == ".toml":
@@ -164,10 +175,10 @@ def _load_sumocfg(path: Path, density: str | None, risk: str | None) -> Scenario
 
 def _load_toml(path: Path, density: str | None, risk: str | None) -> Scenario:
     table = _Table(path, "", _read_toml(path))
+    common = ("name", "title", "description", "simulator", "card")
+    table.allow(*common, *{key for keys in KEYS_OF_SIMULATOR.values() for key in keys})
     simulator = table.choice("simulator", SIMULATORS)
-    own = {"sumo": ("config", "density", "risk"), "highway": ("highway", "density")}
-    allowed = own.get(simulator, (simulator,))
-    table.allow("name", "title", "description", "simulator", "card", *allowed)
+    table.allow(*common, *KEYS_OF_SIMULATOR[simulator])
     scenario = Scenario(
         name=table.text("name"),
         config_path=path,

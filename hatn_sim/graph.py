@@ -197,7 +197,10 @@ def _next_gates(road: Road, seen: Perception) -> _Gates:
     # A vehicle that stands with its bumper a little over the line is still behind it.
     ahead = (to_gate > -0.5) & (seen.lines.line >= 0)[:, None]
     kind, signal = road.gate_type[line], road.gate_signal[line]
-    closed = np.concatenate((seen.scene.signal_closed, [False]))  # found by -1
+    # A recording may know nothing of the signals of its map: these count as open.
+    signals = int(signal.max(initial=-1)) + 2
+    closed = np.zeros(max(signals, len(seen.scene.signal_closed) + 1), dtype=np.bool_)
+    closed[: len(seen.scene.signal_closed)] = seen.scene.signal_closed  # the last: found by -1
 
     def nearest_m(counts: BoolArray) -> FloatArray:
         return np.where(ahead & counts, to_gate, np.inf).min(axis=1)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from conftest import crossing_lanes, scene_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hatn_sim.datatypes import HISTORY_FRAMES, Front, Kind, Scene, SemanticGraphs
+from hatn_sim.datatypes import HISTORY_FRAMES, Front, Gate, Kind, Scene, SemanticGraphs
 from hatn_sim.graph import CONTEXT, build_graphs
 from hatn_sim.perception import PerceptionState, begin, perceive
 from hatn_sim.road import Road
@@ -128,6 +130,18 @@ def test_a_signal_counts_only_while_it_is_closed() -> None:
         assert graphs.front_type[row(graphs, "e"), 0] == expected
         assert graphs.ego_at_red[row(graphs, "e")] == closed
         assert not graphs.ego_at_red[row(graphs, "s")]
+
+
+def test_a_recording_may_know_nothing_of_the_signals_of_its_map() -> None:
+    lanes = [
+        replace(one, gate=Gate.SIGNAL, signals={"we": 46, "wn": 3}) if one.id == "w" else one
+        for one in crossing_lanes()
+    ]
+    road = Road(lanes)
+    vehicles = {"a": (-30.0, 0.0, 0.0, 8.0), "b": (0.0, -30.0, np.pi / 2, 8.0)}
+    state = perceive(begin(road), scene_of(0.0, vehicles), None)
+    graphs = build_graphs(road, state.seen)
+    assert graphs.has_conflict.any() and not graphs.ego_at_red.any()
 
 
 def test_context_has_a_name_for_every_entry() -> None:

@@ -449,7 +449,7 @@ FAULTS: dict[str, tuple[Callable[[list[list[str]]], object], str]] = {
     ),
     "length in cm": (
         each("length", lambda m: 100 * m),
-        r":2: length: expected metres up to 80, found 450; cm\? correct the row",
+        r":2: length: expected metres above 0 and up to 80, found 450; another unit\?",
     ),
     "off the map": (
         each("x", lambda x: x + 1000),

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import shapely
 from conftest import crossing_lanes
+from conftest import lane as drawn
 
 from hatn_sim.datatypes import FloatArray, Gate, Kind, Lane
 from hatn_sim.errors import InputError
@@ -542,3 +543,24 @@ def test_a_lane_without_length_is_bridged(tmp_path: Path) -> None:
     write_lanelet2(path, [*lanes.values(), point])
     back = {lane.id: lane for lane in read_lanelet2(path)}
     assert set(back) == set(lanes) and set(back["w"].successors) == {"we", "wn"}
+
+
+def test_lanes_to_turn_around_are_wider_than_long_and_come_back(tmp_path: Path) -> None:
+    """The bounds of such a lane cross: its centre line says which way it is driven."""
+    # Two lanes side by side, against each other, and the way around at the end of the first.
+    out, back = [(0.0, 0.0), (50.0, 0.0)], [(50.0, 1.5), (0.0, 1.5)]
+    around = [(50.0, 0.0), (50.6, 0.4), (50.6, 1.1), (50.0, 1.5)]
+    lanes = [
+        drawn("out", out, "around"),
+        drawn("around", around, "back", is_connection=True, turn=1),
+        drawn("back", back),
+    ]
+    path = tmp_path / "map.osm"
+    write_lanelet2(path, lanes)
+    read = {one.id: one for one in read_lanelet2(path)}
+    assert {name: one.successors for name, one in read.items()} == {
+        "out": ("around",),
+        "around": ("back",),
+        "back": (),
+    }
+    np.testing.assert_allclose(read["around"].xy_m[[0, -1]], around[::3], atol=1e-3)

@@ -53,6 +53,8 @@ def main(arguments: argparse.Namespace) -> int:
         )
     _make_folder(out)
     files = _export(run, arguments.format, out)
+    for lost in _lost(run) if arguments.format == "interaction" else ():
+        print(f"hatn-sim: the INTERACTION format has no place for {lost}", file=sys.stderr)
     tracks, road = files[0], files[-1]
     command = shlex.join(["hatn-sim", "run", "--tracks", str(tracks), "--map", str(road)])
     if arguments.json:
@@ -62,6 +64,23 @@ def main(arguments: argparse.Namespace) -> int:
         print(path)
     print(f"to read them: {command}")
     return 0
+
+
+def _lost(run: Run) -> list[str]:
+    """What of a run the INTERACTION format and its maps cannot say."""
+    from hatn_sim.datatypes import Gate
+    from hatn_sim.geometry import arc_length_m
+    from hatn_sim.log.road_file import ROAD_FILE, read_road
+    from hatn_sim.recordings.lanelet2.writer import SHORTEST_M
+
+    lanes = read_road(run.path / ROAD_FILE)
+    short = sum(bool(arc_length_m(lane.xy_m)[-1] < SHORTEST_M) for lane in lanes)
+    found = {
+        "blinkers": bool(run.tracks.blinker.any()),
+        "the states of signals": any(lane.gate is Gate.SIGNAL for lane in lanes),
+        f"lanes shorter than {SHORTEST_M:g} m: {short} are bridged": short > 0,
+    }
+    return [what for what, there in found.items() if there]
 
 
 def _export(run: Run, wanted: str, out: Path) -> tuple[Path, ...]:

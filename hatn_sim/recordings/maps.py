@@ -19,7 +19,7 @@ def read_lanes(path: Path) -> list[Lane]:
     """
     lanes = _read(path)
     if not lanes:
-        raise InputError(f"{path}: expected lanes for vehicles, found none; give another --map")
+        raise InputError(f"{path}: expected lanes for vehicles, found none; give another map")
     return lanes
 
 
@@ -39,5 +39,5 @@ def _read(path: Path) -> list[Lane]:
         return read_road(path)
     raise InputError(
         f"{path}: expected a map named *.osm (Lanelet2), *.net.xml or *.net.xml.gz (SUMO), or the "
-        "road.json.gz of a run; rename it or give another --map"
+        "road.json.gz of a run; rename it or give another map"
     )

@@ -112,7 +112,9 @@ def check_numbers(path: Path, columns: Columns, may_be_blank: BoolArray) -> None
             _refuse_first(path, columns, far, name, "radians within -4 pi and 4 pi", "degrees?")
         elif name in ("length", "width"):
             odd = (values <= 0) | (values > LONGEST_M)
-            _refuse_first(path, columns, odd, name, f"metres up to {LONGEST_M:g}", "cm?")
+            _refuse_first(
+                path, columns, odd, name, f"metres above 0 and up to {LONGEST_M:g}", "another unit?"
+            )
 
 
 def _refuse_first(

@@ -14,6 +14,7 @@ What a map lists twice is one lane. Multipolygons (areas) are left out.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -89,15 +90,17 @@ def _lanelets(path: Path, osm: OsmMap, relations: Mapping[str, Relation]) -> lis
         if key in known:
             continue
         known.add(key)
-        flips = orientation(left.xy_m, right.xy_m)
+        drawn = relation.refs("way", "centerline")
+        centre = _found(path, osm.ways, f"lanelet {name}", "way", drawn[0]).xy_m if drawn else None
+        as_stored = centre is not None and _runs_between(centre, left.xy_m, right.xy_m)
+        flips = (False, False) if as_stored else orientation(left.xy_m, right.xy_m)
         left_xy, right_xy = (
             way.xy_m[::-1] if flip else way.xy_m
             for way, flip in zip((left, right), flips, strict=True)
         )
         xy_m, width_m = centre_line(left_xy, right_xy)
-        drawn = relation.refs("way", "centerline")
-        if drawn:
-            xy_m = _drawn_centre(path, osm, name, drawn[0], xy_m)
+        if centre is not None:
+            xy_m = _driven(thinned(centre), xy_m)
         rules = [
             _found(path, osm.relations, f"lanelet {name}", "regulatory element", ref)
             for ref in relation.refs("relation", "regulatory_element")
@@ -147,11 +150,20 @@ def _found(path: Path, known: Mapping[str, _T], where: str, what: str, ref: str)
     return known[ref]
 
 
-def _drawn_centre(path: Path, osm: OsmMap, name: str, ref: str, between: FloatArray) -> FloatArray:
+def _runs_between(centre: FloatArray, left: FloatArray, right: FloatArray) -> bool:
+    """Whether bounds, as they are stored, begin and end on either side of a centre line's ends.
+
+    Of a lanelet wider than long (to turn around) the bounds alone do not tell its direction.
+    """
+    middle = (left[[0, -1]] + right[[0, -1]]) / 2.0
+    away_m = np.linalg.norm(middle - centre[[0, -1]], axis=1)
+    return bool((away_m < SAME_PLACE_M).all()) and arc_length_m(centre)[-1] > 2.0 * SAME_PLACE_M
+
+
+def _driven(centre: FloatArray, between: FloatArray) -> FloatArray:
     """A lanelet's own centre line, in the direction in which it is driven."""
-    xy_m = thinned(_found(path, osm.ways, f"lanelet {name}", "way", ref).xy_m)
-    same = np.linalg.norm(xy_m[0] - between[0]) <= np.linalg.norm(xy_m[-1] - between[0])
-    return xy_m if same else xy_m[::-1]
+    same = math.dist(centre[0], between[0]) <= math.dist(centre[-1], between[0])
+    return centre if same else centre[::-1]
 
 
 class _Places:

@@ -257,7 +257,10 @@ class SumoReplay:
         if isinstance(answer, Refused):
             reason = self._worker.complaint() or f"Error: {answer.reason}"
             self.close()
-            raise InputError(f"{self.net_path}: SUMO refuses the net: {one_line(reason)}")
+            raise InputError(
+                f"{self.net_path}: SUMO refuses the net: {one_line(reason)} "
+                "(`hatn-sim net MAP` builds one from a map)"
+            )
         assert isinstance(answer, Started)
         if self._lanes is None:
             self._lanes = lanes_of(answer.lane_table)
