@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -11,6 +13,12 @@ from hatn_sim.road import Road
 
 settings.register_profile("still", derandomize=True, deadline=None, max_examples=25)
 settings.load_profile("still")
+
+
+def heed_ctrl_c() -> None:
+    """For `preexec_fn`: what is started from a shell's background ignores ctrl-C otherwise."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 
 EVERYBODY = frozenset(Kind)
 

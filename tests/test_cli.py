@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import heed_ctrl_c
 
 from hatn_sim import cli
 from hatn_sim.commands import scenarios
@@ -183,7 +184,9 @@ def test_a_missing_or_malformed_scenario_toml(refused: Callable[..., str], stree
     toml.write_text(SCENE.replace('title = "A street"\n', ""))
     assert refuse_run(refused, street) == f"{toml}: key 'title' is missing: add a text"
     toml.unlink()
-    assert refuse_run(refused, street).startswith(f"{toml}: cannot be read: No such file")
+    assert refuse_run(refused, toml).startswith(f"{toml}: cannot be read: No such file")
+    expected = f"{street}: expected the folder of a scene (with a scenario.toml) or of a run "
+    assert refuse_run(refused, street).startswith(expected)
 
 
 @pytest.mark.parametrize(
@@ -457,6 +460,7 @@ def test_ctrl_c_leaves_a_readable_log_and_names_its_place(elsewhere: Path) -> No
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=heed_ctrl_c,
         env=os.environ | {"PYTHONPATH": str(Path(cli.__file__).parents[1])},
     )
     part = elsewhere / "out" / "frames" / "part-00000.parquet"

@@ -13,6 +13,7 @@ from pathlib import Path
 import libsumo
 import numpy as np
 import pytest
+from conftest import heed_ctrl_c
 
 from hatn_sim.config import Scenario, load_scenario
 from hatn_sim.datatypes import Command, Frame, Gate, Kind, Lane
@@ -560,6 +561,7 @@ def test_the_worker_does_not_outlive_its_parent(how: signal.Signals) -> None:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=heed_ctrl_c,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)},
     )
     assert parent.stdout is not None
