@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.options import names, seconds, seconds_or_none, seeds
+from hatn_sim.commands.options import add_tracks, names, seconds, seconds_or_none, seeds
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
@@ -55,18 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours)",
     )
-    parser.add_argument(
-        "--tracks",
-        nargs="+",
-        metavar="FILE",
-        help="recorded tracks as a further scene; patterns may be quoted",
-    )
-    parser.add_argument(
-        "--map", type=Path, metavar="FILE", help="that they were driven on: .osm or .net.xml"
-    )
-    parser.add_argument(
-        "--recordings", metavar="000-004", help="only these of the tracks (default: all)"
-    )
+    add_tracks(parser, "as a further scene")
     parser.add_argument(
         "--out",
         type=Path,

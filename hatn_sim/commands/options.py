@@ -76,12 +76,16 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scene", metavar="SCENE", nargs="?", help="a scene's name, a .sumocfg or a run's folder"
     )
+    add_tracks(parser, "instead of SCENE")
+
+
+def add_tracks(parser: argparse.ArgumentParser, place: str) -> None:
+    """`--tracks`, `--map` and `--recordings`."""
     parser.add_argument(
         "--tracks",
         nargs="+",
         metavar="FILE",
-        help="recorded tracks instead of SCENE: INTERACTION .csv or SUMO's FCD; patterns may be "
-        "quoted",
+        help=f"recorded tracks {place}: INTERACTION .csv or SUMO's FCD; patterns may be quoted",
     )
     parser.add_argument(
         "--map", type=Path, metavar="FILE", help="that they were driven on: .osm or .net.xml"
