@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import random
 import re
 import sys
@@ -23,7 +24,9 @@ from hatn_sim.recordings.lanelet2.rules import MOTOR, ROAD_KINDS, speed_mps
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
 from hatn_sim.resources import find_scenarios
 
-needs_lanelet2 = pytest.mark.skipif(sys.platform != "linux", reason="has wheels for Linux only")
+needs_lanelet2 = pytest.mark.skipif(
+    sys.platform != "linux" or platform.machine() != "x86_64", reason="has wheels for these only"
+)
 SAMPLE = find_scenarios()["recorded_sample"].parent / "map.osm"
 Point = tuple[float, float]
 
