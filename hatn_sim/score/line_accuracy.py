@@ -275,9 +275,9 @@ def _agrees(
     """
     right_exit = any(one.exit == true.exit and _same_way(one, true) for one in mine)
     done = true.connections.index(lane_now) if lane_now in true.connections else 0
-    todo = (*true.connections[done:], true.exit_lane)
+    ahead = (*true.connections[done:], true.exit_lane)
     right_lane = right_exit and any(
-        route[at : at + len(todo)] == todo for at in range(len(route) - len(todo) + 1)
+        route[at : at + len(ahead)] == ahead for at in range(len(route) - len(ahead) + 1)
     )
     return right_exit, right_lane
 
