@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Final
 
 import numpy as np
 
@@ -18,11 +20,23 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.graph import build_graphs
 from hatn_sim.hatn.inputs import Float32Array, vehicle_history
-from hatn_sim.labels import SAMPLE_EVERY_FRAMES, Trajectories, goal_m, slot_label
+from hatn_sim.labels import (
+    FOLLOW_FRAMES,
+    NEXT_FRAMES,
+    SAMPLE_EVERY_FRAMES,
+    Trajectories,
+    goal_m,
+    slot_label,
+)
 from hatn_sim.labels import trajectories_from_rows as _trajectories
+from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES
 from hatn_sim.perception import Perception, begin, perceive
 from hatn_sim.road import Road
 
+LABEL_FRAMES: Final = max(HORIZON_FRAMES, NEXT_FRAMES + FOLLOW_FRAMES)
+"""Labels look no further ahead."""
+SETTLE_FRAMES: Final = max(RELEASE_FRAMES, 2 * LABEL_FRAMES)
+"""So often labels are taken, lines are let go of: later than the last of those that wait for it."""
 OFF_LINE_M = 3.0
 """A future that leaves the line by more than this was driven on another one."""
 
@@ -61,41 +75,81 @@ class _Moment:
     graphs: SemanticGraphs
 
 
-def samples_of_run(road: Road, frames: Iterable[Frame], use_routes: bool = False) -> Samples:
-    """Every vehicle with a line, 11 frames behind it, at every fifth frame of a run."""
+def samples_of_run(
+    road: Road,
+    frames: Iterable[Frame],
+    use_routes: bool = False,
+    history_frames: int = HISTORY_FRAMES,
+) -> Samples:
+    """Every vehicle with a line and `history_frames` frames behind it, at every fifth frame.
+
+    Frames are let go of as soon as their labels are known, and so are lines that nobody is near,
+    so that memory grows with the samples alone.
+    """
     state = begin(road)
-    moments: list[_Moment] = []
+    waiting: list[_Moment] = []
+    seen_rows: deque[tuple[int, IntArray, FloatArray]] = deque()  # frame, vehicles, centres
     row_of: dict[str, int] = {}
-    vehicles: list[IntArray] = []
-    at_frame: list[IntArray] = []
-    positions: list[FloatArray] = []
-    total = 0
+    parts = [_samples_of_nothing(road)]
+    index = -1
     for index, frame in enumerate(frames):
         scene = frame.scene
         state = perceive(state, scene, frame.truth.routes if use_routes else None)
-        vehicles.append(
-            np.array([row_of.setdefault(name, len(row_of)) for name in scene.ids], dtype=np.int64)
-        )
-        at_frame.append(np.full(len(scene.ids), index))
-        positions.append(scene.xy_m)
+        vehicle = [row_of.setdefault(name, len(row_of)) for name in scene.ids]
+        seen_rows.append((index, np.array(vehicle, dtype=np.int64), scene.xy_m))
         if index % SAMPLE_EVERY_FRAMES == 0:
-            moments.append(_Moment(index, state.seen, build_graphs(road, state.seen)))
-        total = index + 1
+            waiting.append(_Moment(index, state.seen, build_graphs(road, state.seen)))
+        if index % SETTLE_FRAMES == SETTLE_FRAMES - 1:
+            ready = [m for m in waiting if m.frame + LABEL_FRAMES <= index]
+            parts += _settle(road, ready, seen_rows, row_of, history_frames)
+            del waiting[: len(ready)]
+            while seen_rows and seen_rows[0][0] < (waiting[0].frame if waiting else index):
+                seen_rows.popleft()
+            road.release(SETTLE_FRAMES, KEPT_LINES)
+    parts += _settle(road, waiting, seen_rows, row_of, history_frames)
+    return concatenate(parts)
+
+
+def _settle(
+    road: Road,
+    moments: Sequence[_Moment],
+    seen_rows: Iterable[tuple[int, IntArray, FloatArray]],
+    row_of: dict[str, int],
+    history_frames: int,
+) -> list[Samples]:
+    """The samples of moments, all that their labels look at being in `seen_rows`."""
+    if not moments:
+        return []
+    frame, vehicle, xy_m = zip(*seen_rows, strict=True)
     trajectories = _trajectories(
         tuple(row_of),
-        np.concatenate(vehicles),
-        np.concatenate(at_frame),
-        np.concatenate(positions),
-        total,
+        np.concatenate(vehicle),
+        np.repeat(np.array(frame) - frame[0], [len(of_frame) for of_frame in vehicle]),
+        np.concatenate(xy_m),
+        frame[-1] - frame[0] + 1,
     )
-    return concatenate([_samples_of_moment(road, m, trajectories, row_of) for m in moments])
+    moved = [replace(moment, frame=moment.frame - frame[0]) for moment in moments]
+    return [_samples_of_moment(road, m, trajectories, row_of, history_frames) for m in moved]
+
+
+def _samples_of_nothing(road: Road) -> Samples:
+    """No row, for runs without a vehicle."""
+    nobody = begin(road).seen
+    none = np.zeros(0, dtype=np.int64)
+    trajectories = _trajectories((), none, none, np.zeros((0, 2)), 1)
+    moment = _Moment(0, nobody, build_graphs(road, nobody))
+    return _samples_of_moment(road, moment, trajectories, {}, HISTORY_FRAMES)
 
 
 def _samples_of_moment(
-    road: Road, moment: _Moment, trajectories: Trajectories, row_of: dict[str, int]
+    road: Road,
+    moment: _Moment,
+    trajectories: Trajectories,
+    row_of: dict[str, int],
+    history_frames: int,
 ) -> Samples:
     seen, graphs = moment.seen, moment.graphs
-    whole = seen.tracks.valid[graphs.ego, -HISTORY_FRAMES:].all(axis=1)
+    whole = seen.tracks.valid[graphs.ego, -history_frames:].all(axis=1)
     keep = np.flatnonzero(whole)
     ego = graphs.ego[keep]
     rows = np.array([row_of[name] for name in seen.scene.ids], dtype=np.int64)
