@@ -45,9 +45,10 @@ NO_PART_IN_SAMPLES: Final = (
     "hatn/edn",
     "hatn/sgn",
     "hatn/predictor",
-    "hatn/weights",
+    "hatn/weights/hatn",
     "hatn/adaptation",
     "learn/",
+    "_data/",
 )
 """Beginnings of the package's files whose change leaves samples as they are ..."""
 BUT: Final = ("learn/dataset", "learn/sources")
@@ -144,12 +145,12 @@ def key_of(traffic: Traffic) -> str:
 
 
 @cache
-def source_version() -> str:
-    """The hash of the source of everything that has a part in making samples."""
+def source_version(everything: bool = False) -> str:
+    """The hash of the source of all that has a part in making samples, or of `everything`."""
     total = hashlib.sha256()
     for path in sorted(PACKAGE_DIR.rglob("*")):
         name = path.relative_to(PACKAGE_DIR).as_posix()
-        ours = name.startswith(BUT) or not name.startswith((*NO_PART_IN_SAMPLES, "_data"))
+        ours = everything or name.startswith(BUT) or not name.startswith(NO_PART_IN_SAMPLES)
         if ours and path.is_file() and "__pycache__" not in name:
             total.update(f"{name} {content_hash(path)}\n".encode())
     return total.hexdigest()

@@ -1,65 +1,100 @@
-"""The encoder-decoder network, learnt on the goals that a trained SGN predicts."""
+"""What the encoder-decoder network learns from samples, and how it is judged."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Final
+
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from hatn_sim.datatypes import IntArray
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
-from hatn_sim.hatn.sgn import SemanticGraphNetwork
-from hatn_sim.learn.augment import random_scale, scale_future, scale_history
+from hatn_sim.datatypes import HORIZON_FRAMES
+from hatn_sim.hatn import edn_plain
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch, edn_loss
+from hatn_sim.hatn.inputs import Float32Array
+from hatn_sim.learn.augment import mirror_vehicles, random_scale, scale_vehicles
 from hatn_sim.learn.dataset import Samples
-from hatn_sim.learn.fit import Figures, FitSettings, Problem, Workplace, batches, fit
-from hatn_sim.learn.sgn_training import predicted_goals
 
-EARLY_FRAMES = 5
-EARLY_WEIGHT = 3.0
-"""Early frames are small in metres but they are what adaptation and safety look at."""
+EARLY_WEIGHT: Final = 20.0
+EARLY_FRAMES: Final = 3.0
+"""Errors of the first frames are centimetres; adaptation and safety look at them."""
+BY_STEP: Final = torch.from_numpy(
+    (1.0 + EARLY_WEIGHT * np.exp(-np.arange(HORIZON_FRAMES) / EARLY_FRAMES)).astype(np.float32)
+)
+MIRRORED: Final = 0.5
+"""Share of samples seen in a mirror."""
 
 
-def train_edn(
-    learn: Samples,
-    tune: Samples,
-    sgn: SemanticGraphNetwork,
-    settings: EdnSettings,
-    how: FitSettings,
-    place: Workplace,
-) -> tuple[EncoderDecoderNetwork, Figures]:
-    """A network fitted to `learn`, the epoch chosen on `tune`; raises as `fit` does."""
-    torch.manual_seed(place.seed)
-    model = EncoderDecoderNetwork(settings)
-    goals = predicted_goals(sgn, learn)
-    tune_goals = predicted_goals(sgn, tune)
-    early = np.arange(learn.future.shape[1]) < EARLY_FRAMES
-    by_step = torch.from_numpy(np.where(early, EARLY_WEIGHT, 1.0).astype(np.float32))
+def vehicle_batch(samples: Samples, rows: np.ndarray) -> VehicleBatch:
+    """Rows of the samples as tensors."""
+    return VehicleBatch(
+        history=torch.from_numpy(samples.history[rows]),
+        line=torch.from_numpy(samples.line[rows]),
+        at=torch.from_numpy(samples.at[rows]),
+    )
 
-    def loss(model: nn.Module, rows: IntArray) -> Tensor:
+
+def goals_of(model: EncoderDecoderNetwork, profile_m: Float32Array) -> Float32Array:
+    """Profiles [S, 6] in the form that the model takes: whole, or their last distance alone."""
+    return profile_m[:, -model.settings.goal_steps :]
+
+
+def training_loss(
+    model: EncoderDecoderNetwork, samples: Samples, goals_m: Float32Array, rows: np.ndarray
+) -> Tensor:
+    """The loss on rows of samples; `goals_m` [S, goal_steps] is what the decoder is told."""
+    batch = vehicle_batch(samples, rows)
+    goal_m = torch.from_numpy(goals_m[rows])
+    mask = torch.from_numpy(samples.future_mask[rows] & samples.on_line[rows, None]).float()
+    settings = model.settings
+    if settings.decoder == "kinematic":
+        future = torch.from_numpy(samples.future_xy[rows])
         scale = random_scale(len(rows))
-        history = scale_history(torch.from_numpy(learn.history[rows]), scale)
-        future = scale_future(torch.from_numpy(learn.future[rows]), scale)
-        goal = torch.from_numpy(goals[rows]) * scale
-        mask = torch.from_numpy(learn.future_mask[rows]).float() * by_step
-        predicted = model(history.to(place.device), goal.to(place.device))
-        return edn_loss(predicted, future.to(place.device), mask.to(place.device))
+        mirrored = torch.rand(len(rows)) < MIRRORED
+        batch, future, goal_m = scale_vehicles(batch, future, goal_m, scale)
+        batch, future = mirror_vehicles(batch, future, mirrored)
+        return edn_loss(model(batch, goal_m), future, mask, BY_STEP)
+    truth = edn_plain.targets(
+        settings,
+        batch.at,
+        *(
+            torch.from_numpy(values[rows])
+            for values in (samples.future, samples.future_xy, samples.future_motion)
+        ),
+    )
+    teacher = truth if settings.teacher_forcing and model.training else None
+    said = model.native(batch, goal_m, teacher=teacher)
+    return edn_loss(said, truth, mask, torch.ones(HORIZON_FRAMES))
 
-    def figures(model: nn.Module) -> Figures:
-        return edn_figures(model, tune, tune_goals, place.device)
 
-    problem = Problem("EDN", len(learn), loss, figures, "ade_3s_m")
-    return model, fit(model, problem, how, place)
+@torch.no_grad()
+def displacements_m(
+    model: EncoderDecoderNetwork, samples: Samples, goals_m: Float32Array
+) -> Float32Array:
+    """Displacement [R, F] in the map at every step, of the rows whose future is wholly known."""
+    model.eval()
+    errors = [np.zeros((0, HORIZON_FRAMES), np.float32)]
+    for rows in np.array_split(np.arange(len(samples)), len(samples) // 2048 + 1):
+        known = rows[samples.future_mask[rows].all(axis=1)]
+        if len(known):
+            out = model(vehicle_batch(samples, known), torch.from_numpy(goals_m[known]))
+            errors.append(np.linalg.norm(out.numpy() - samples.future_xy[known], axis=-1))
+    return np.concatenate(errors)
 
 
-def edn_figures(
-    model: nn.Module, samples: Samples, goals: np.ndarray, device: torch.device
-) -> Figures:
-    """Mean displacement along the line in metres over whole futures, all and the first 0.3 s."""
-    errors: list[np.ndarray] = []
-    for rows in batches(len(samples)):
-        history = torch.from_numpy(samples.history[rows]).to(device)
-        out: Tensor = model(history, torch.from_numpy(goals[rows]).to(device))
-        distance = np.linalg.norm(out.cpu().numpy() - samples.future[rows], axis=-1)
-        errors.append(distance[samples.future_mask[rows].all(axis=1)])
-    distance = np.concatenate(errors)
+def figures(
+    model: EncoderDecoderNetwork, samples: Samples, goals_m: Float32Array
+) -> dict[str, float]:
+    """ADE over 3 s and over 0.3 s in metres."""
+    distance = displacements_m(model, samples, goals_m)
     return {"ade_3s_m": float(distance.mean()), "ade_0s3_m": float(distance[:, :3].mean())}
+
+
+def batches(
+    count: int, size: int, random: np.random.Generator | None = None
+) -> Iterator[np.ndarray]:
+    """Row numbers in batches, shuffled where a generator is given."""
+    order = np.arange(count) if random is None else random.permutation(count)
+    for start in range(0, count, size):
+        yield order[start : start + size]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import math
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -28,7 +28,6 @@ from hatn_sim.learn.whole_file import write_whole
 
 LARGEST_GRADIENT: Final = 1.0
 """Gradients of a larger norm are scaled down to it."""
-EVALUATION_BATCH: Final = 2048
 Figures = dict[str, float]
 
 
@@ -45,17 +44,6 @@ class FitSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
-    """What is fitted."""
-
-    name: str
-    count: int  # samples to learn from
-    loss: Callable[[nn.Module, IntArray], Tensor]  # of a model on those of some rows
-    figures: Callable[[nn.Module], Figures]  # of a model on the tuning samples
-    judged_by: str  # one of the figures, the less the better
-
-
-@dataclass(frozen=True, eq=False)
 class Workplace:
     """Where and under whose eyes a network is fitted."""
 
@@ -66,11 +54,11 @@ class Workplace:
 
 
 class LossError(HatnSimError):
-    """The loss is not finite. The model holds the last good weights if `epoch` is not 0."""
+    """The loss is not finite. `model` holds its last good weights, those of `epoch`, if not 0."""
 
-    def __init__(self, line: str, epoch: int, figures: Figures) -> None:
+    def __init__(self, line: str, model: nn.Module, epoch: int, figures: Figures) -> None:
         super().__init__(line)
-        self.epoch, self.figures = epoch, figures
+        self.model, self.epoch, self.figures = model, epoch, figures
 
 
 @dataclass
@@ -84,14 +72,35 @@ class _State:
     best_weights: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
-def fit(model: nn.Module, problem: Problem, settings: FitSettings, place: Workplace) -> Figures:
+def fit(
+    model: nn.Module,
+    learn: Sized,
+    loss_of: Callable[[Any, IntArray], Tensor],
+    figures: Callable[[], Figures],
+    judged_by: str,
+    *,
+    name: str,
+    settings: FitSettings,
+    place: Workplace,
+) -> Figures:
     """Fit `model`, which then holds the best weights, is in evaluation mode and on the CPU.
 
-    Returns the figures of the best epoch.
+    Args:
+        model: on the CPU; `loss_of` and `figures` hold on to it too.
+        learn: samples to learn from.
+        loss_of: of the model on rows of `learn`.
+        figures: of the model on the tuning samples.
+        judged_by: one of the figures, the less the better.
+        name: of the network, in lines and for the name of its checkpoint.
+        settings: how long, how fast.
+        place: seed, device and checkpoints.
+
+    Returns:
+        The figures of the best epoch.
 
     Raises:
         LossError: the loss is not finite; says at which step.
-        InputError: a checkpoint cannot be written.
+        InputError: a checkpoint cannot be written, or is of something else.
     """
     model.to(place.device)
     average = AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(settings.average))
@@ -101,28 +110,25 @@ def fit(model: nn.Module, problem: Problem, settings: FitSettings, place: Workpl
         weight_decay=settings.weight_decay,
         fused=True,
     )
-    of_epoch = math.ceil(problem.count / settings.batch)
-    total = settings.epochs * of_epoch
+    total = settings.epochs * math.ceil(len(learn) / settings.batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, max(total, 2))
     parts = {"model": model, "average": average, "optimiser": optimiser, "schedule": schedule}
-    state = _resume(place, problem.name, parts)
+    state = _resume(place, name, parts)
     for epoch in range(state.epoch + 1, settings.epochs + 1):
         if epoch - 1 - state.best_epoch >= settings.patience:
             break
-        random = _seed_epoch(place.seed, problem.name, epoch)
-        order = random.permutation(problem.count)
+        order = _seed_epoch(place.seed, name, epoch).permutation(len(learn))
         model.train()
         loss_sum = 0.0
-        for start in range(0, problem.count, settings.batch):
+        for start in range(0, len(learn), settings.batch):
             rows = order[start : start + settings.batch]
             state.step += 1
-            loss = problem.loss(model, rows)
+            loss = loss_of(learn, rows)
             value = float(loss.detach())
             if not math.isfinite(value):
                 _give_best(model, state)
-                raise LossError(
-                    _not_finite(problem.name, value, state), state.best_epoch, state.best
-                )
+                line = _not_finite(name, value, state)
+                raise LossError(line, model, state.best_epoch, state.best)
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(model.parameters(), LARGEST_GRADIENT)
@@ -130,34 +136,38 @@ def fit(model: nn.Module, problem: Problem, settings: FitSettings, place: Workpl
             schedule.step()
             average.update_parameters(model)
             loss_sum += value * len(rows)
-            place.watch.step(problem.name, state.step, total, f"epoch {epoch}, loss {value:.3f}")
+            place.watch.step(name, state.step, total, f"epoch {epoch}, loss {value:.3f}")
         state.epoch = epoch
-        _judge(model, average, problem, state)
-        shown = ", ".join(f"{name} {value:.4f}" for name, value in state.best.items())
+        _judge(model, average, figures, judged_by, state)
+        shown = ", ".join(f"{key} {value:.4f}" for key, value in state.best.items())
         place.watch.say(
-            f"{problem.name} epoch {epoch} of {settings.epochs}: loss "
-            f"{loss_sum / problem.count:.4f}, best of epoch {state.best_epoch}: {shown}"
+            f"{name} epoch {epoch} of {settings.epochs}: loss {loss_sum / len(learn):.4f}, best of "
+            f"epoch {state.best_epoch}: {shown}"
         )
-        _save(place, problem.name, parts, state)
+        _save(place, name, parts, state)
     _give_best(model, state)
     return state.best
 
 
-def batches(count: int) -> list[IntArray]:
-    """All rows in order, in pieces that fit a memory."""
-    return np.array_split(np.arange(count), max(1, math.ceil(count / EVALUATION_BATCH)))
-
-
-def _judge(model: nn.Module, average: AveragedModel, problem: Problem, state: _State) -> None:
+def _judge(
+    model: nn.Module,
+    average: AveragedModel,
+    figures: Callable[[], Figures],
+    judged_by: str,
+    state: _State,
+) -> None:
     """Keep the weights of now, or their average, if their figures are the best so far."""
-    for candidate in (model, average.module):
-        candidate.eval()
+    model.eval()
+    now = copy.deepcopy(model.state_dict())
+    for weights in (now, average.module.state_dict()):
+        model.load_state_dict(weights)
         with torch.no_grad():
-            figures = problem.figures(candidate)
-        now = figures[problem.judged_by]
-        if math.isfinite(now) and (not state.best or now < state.best[problem.judged_by]):
-            state.best, state.best_epoch = figures, state.epoch
-            state.best_weights = copy.deepcopy(candidate.state_dict())
+            found = figures()
+        judged = found[judged_by]
+        if math.isfinite(judged) and (not state.best or judged < state.best[judged_by]):
+            state.best, state.best_epoch = found, state.epoch
+            state.best_weights = copy.deepcopy(weights)
+    model.load_state_dict(now)
 
 
 def _give_best(model: nn.Module, state: _State) -> None:
@@ -167,10 +177,10 @@ def _give_best(model: nn.Module, state: _State) -> None:
 
 
 def _not_finite(name: str, value: float, state: _State) -> str:
-    kept = f"the weights of epoch {state.best_epoch} are kept" if state.best else "none are kept"
+    kept = f"the weights of epoch {state.best_epoch} are kept" if state.best else "none are good"
     return (
         f"training {name}: the loss became {value} at step {state.step}, in epoch "
-        f"{state.epoch + 1}; {kept}; train with a smaller learning_rate"
+        f"{state.epoch + 1}: train with a smaller learning_rate; {kept}"
     )
 
 
@@ -182,7 +192,9 @@ def _seed_epoch(seed: int, name: str, epoch: int) -> np.random.Generator:
 
 
 def _file(place: Workplace, name: str) -> Path | None:
-    return None if place.progress is None else place.progress / f"{name.lower()}.pt"
+    return (
+        None if place.progress is None else place.progress / f"{name.lower().replace(' ', '-')}.pt"
+    )
 
 
 def _save(place: Workplace, name: str, parts: Mapping[str, Any], state: _State) -> None:

@@ -2,57 +2,71 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Final, Protocol
+
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from hatn_sim.datatypes import IntArray
-from hatn_sim.hatn.sgn import GraphBatch, Intention, SemanticGraphNetwork, SgnSettings, sgn_loss
+from hatn_sim.hatn.inputs import Float32Array
+from hatn_sim.hatn.sgn import GraphBatch, SemanticGraphNetwork, SgnSettings, sgn_loss
 from hatn_sim.learn.augment import change_limits, random_scale, scale_graphs
 from hatn_sim.learn.dataset import Samples
-from hatn_sim.learn.fit import Figures, FitSettings, Problem, Workplace, batches, fit
+
+JUDGED_BY: Final = "goal_error_m"
+"""The figure that chooses the epoch."""
+JUDGED_AT_ONCE: Final = 2048
+
+
+class Fit(Protocol):
+    """Fits a model to samples by a loss, judged by figures; see `learn.fit`."""
+
+    def __call__(
+        self,
+        model: nn.Module,
+        learn: Samples,
+        loss_of: Callable[[Samples, IntArray], Tensor],
+        figures: Callable[[], dict[str, float]],
+        judged_by: str,
+    ) -> dict[str, float]: ...
 
 
 def train_sgn(
-    learn: Samples, tune: Samples, settings: SgnSettings, how: FitSettings, place: Workplace
-) -> tuple[SemanticGraphNetwork, Figures]:
-    """A network fitted to `learn`, the epoch chosen on `tune`; raises as `fit` does."""
-    torch.manual_seed(place.seed)
+    learn: Samples, tune: Samples, settings: SgnSettings, fit: Fit
+) -> tuple[SemanticGraphNetwork, dict[str, float]]:
+    """The semantic graph network, alone, and its figures on `tune`."""
     model = SemanticGraphNetwork(settings)
 
-    def loss(model: nn.Module, rows: IntArray) -> Tensor:
+    def loss_of(samples: Samples, rows: IntArray) -> Tensor:
         scale = random_scale(len(rows))
-        batch = scale_graphs(change_limits(graph_batch(learn, rows)), scale)
-        batch = on_device(batch, place.device)
-        intention: Intention = model(batch)
+        batch = scale_graphs(change_limits(graph_batch(samples, rows)), scale)
         regression, classes = sgn_loss(
-            intention,
+            model(batch),
             batch,
-            (torch.from_numpy(learn.goal_m[rows]) * scale[:, None]).to(place.device),
-            torch.from_numpy(learn.goal_mask[rows]).to(place.device),
-            torch.from_numpy(learn.slot[rows]).to(place.device),
-            settings.class_weight,
+            torch.from_numpy(samples.goal_m[rows]) * scale[:, None],
+            torch.from_numpy(samples.goal_mask[rows]),
+            torch.from_numpy(samples.slot[rows]),
+            model.settings.class_weight,
         )
         return regression + classes
 
-    def figures(model: nn.Module) -> Figures:
-        return sgn_figures(model, tune, place.device)
-
-    problem = Problem("SGN", len(learn), loss, figures, "goal_error_m")
-    return model, fit(model, problem, how, place)
+    best = fit(model, learn, loss_of, lambda: sgn_figures(model, tune), JUDGED_BY)
+    return model, best
 
 
-def sgn_figures(model: nn.Module, samples: Samples, device: torch.device) -> Figures:
+def sgn_figures(model: SemanticGraphNetwork, samples: Samples) -> dict[str, float]:
     """Goal error of the ego in metres and slot accuracy on samples."""
     errors, right, several = [np.zeros(0)], 0, 0
-    for rows in batches(len(samples)):
-        intention: Intention = model(on_device(graph_batch(samples, rows), device))
+    for rows in _in_order(len(samples)):
+        with torch.no_grad():
+            intention = model(graph_batch(samples, rows))
         known = samples.goal_mask[rows, 0]
-        goal_m = intention.goal_m()[:, 0].cpu().numpy()
-        errors.append(np.abs(goal_m - samples.goal_m[rows, 0])[known])
+        errors.append(np.abs(intention.goal_m()[:, 0].numpy() - samples.goal_m[rows, 0])[known])
         slot = samples.slot[rows]
         counts = (slot >= 0) & (samples.focus_mask[rows].sum(axis=1) > 1)
-        chosen = intention.slot_logit.argmax(-1).cpu().numpy()
+        chosen = intention.slot_logit.argmax(-1).numpy()
         right += int((chosen == slot)[counts].sum())
         several += int(counts.sum())
     return {
@@ -61,17 +75,14 @@ def sgn_figures(model: nn.Module, samples: Samples, device: torch.device) -> Fig
     }
 
 
-def predicted_goals(
-    model: SemanticGraphNetwork, samples: Samples
-) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
-    """The goal [S] of every ego by the trained SGN: what the EDN is trained on."""
+def predicted_profiles(model: SemanticGraphNetwork, samples: Samples) -> Float32Array:
+    """How far every ego gets [S, P], the last column in 3 s, by the trained SGN."""
     model.eval()
-    with torch.no_grad():
-        goals = [
-            model(graph_batch(samples, rows)).goal_m()[:, 0].numpy()
-            for rows in batches(len(samples))
-        ]
-    return np.concatenate(goals)
+    found: list[Float32Array] = []
+    for rows in _in_order(len(samples)):
+        with torch.no_grad():
+            found.append(model(graph_batch(samples, rows)).goal_m()[:, :1].numpy())
+    return np.concatenate(found)
 
 
 def graph_batch(samples: Samples, rows: IntArray) -> GraphBatch:
@@ -85,6 +96,5 @@ def graph_batch(samples: Samples, rows: IntArray) -> GraphBatch:
     )
 
 
-def on_device(batch: GraphBatch, device: torch.device) -> GraphBatch:
-    """The same graphs on another device."""
-    return GraphBatch(**{name: value.to(device) for name, value in vars(batch).items()})
+def _in_order(count: int) -> list[IntArray]:
+    return np.array_split(np.arange(count), count // JUDGED_AT_ONCE + 1)
