@@ -293,15 +293,8 @@ def test_a_card_is_rebuilt_from_an_old_one() -> None:
         "command": "x",
     }
     card = card_of(network(), EncoderDecoderNetwork(EdnSettings(width=8)), old)
-    assert (card["format"], card["seeds"], card["command"]) == (2, [1], "x")
-    assert card["sgn"] == {
-        "width": 16,
-        "components": 3,
-        "class_weight": 2.0,
-        "dropout": 0.1,
-        "race_dropout": 0.5,
-        "history_stride": 2,
-    }
+    assert (card["format"], card["seeds"], card["command"]) == (3, [1], "x")
+    assert card["sgn"] == asdict(SgnSettings(width=16))
     assert card["edn"] == asdict(EdnSettings(width=8))
     assert json.loads(json.dumps(card)) == card
 
