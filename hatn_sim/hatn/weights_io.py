@@ -25,7 +25,8 @@ from hatn_sim.graph import CONTEXT
 from hatn_sim.hatn import edn as edn_module
 from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
-from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
+from hatn_sim.hatn.sgn import SemanticGraphNetwork
+from hatn_sim.hatn.sgn_settings import CHOICES, SgnSettings
 
 FORMAT: Final = 2
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
@@ -35,8 +36,13 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "dropout": (0.0, 1.0),
     "race_dropout": (0.0, 1.0),
     "history_stride": (1, HISTORY_FRAMES),
+    "graph_layers": (1, 8),
+    "heads": (1, 16),
+    "ego_weight": (0.0, 1e6),
+    "goal_l1_weight": (0.0, 1e6),
+    "label_smoothing": (0.0, 1.0),
 }
-"""What each setting may be, both ends included."""
+"""What each setting that is a number may be, both ends included."""
 AGAIN: Final = "train again with `hatn-sim train`"
 
 Settings = TypeVar("Settings", SgnSettings, EdnSettings)
@@ -174,16 +180,26 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
             f"found {given or 'none'}; {AGAIN}"
         )
     for name in names:
-        value, (low, high) = found[name], RANGES[name]
-        types = int if isinstance(low, int) else (int, float)
-        right = isinstance(value, types) and not isinstance(value, bool)
-        if not (right and low <= value <= high):
+        expected = _unlike(found[name], getattr(kind(), name), name)
+        if expected:
             raise InputError(
-                f"weights card {path}: {network}.{name}: expected "
-                f"{'a whole number' if types is int else 'a number'} from {low:g} to {high:g}, "
-                f"found {value!r}; {AGAIN}"
+                f"weights card {path}: {network}.{name}: expected {expected}, "
+                f"found {found[name]!r}; {AGAIN}"
             )
     return kind(**found)
+
+
+def _unlike(value: object, default: object, name: str) -> str:
+    """What a setting has to be, where `value` is not that; "" where it is."""
+    if isinstance(default, bool):
+        return "" if isinstance(value, bool) else "true or false"
+    if isinstance(default, str):
+        return "" if value in CHOICES[name] else f"one of {', '.join(CHOICES[name])}"
+    low, high = RANGES[name]
+    types = int if isinstance(low, int) else (int, float)
+    if isinstance(value, types) and not isinstance(value, bool) and low <= value <= high:
+        return ""
+    return f"{'a whole number' if types is int else 'a number'} from {low:g} to {high:g}"
 
 
 def _check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from hatn_sim.datatypes import (
+    DT_S,
     HISTORY_FRAMES,
     HORIZON_FRAMES,
     BoolArray,
@@ -18,7 +19,17 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.graph import build_graphs
 from hatn_sim.hatn.inputs import Float32Array, vehicle_history
-from hatn_sim.labels import SAMPLE_EVERY_FRAMES, Trajectories, goal_m, slot_label
+from hatn_sim.labels import (
+    FOLLOW_FRAMES,
+    NEXT_FRAMES,
+    PROFILE_FRAMES,
+    SAMPLE_EVERY_FRAMES,
+    Trajectories,
+    crossing_frame,
+    goal_m,
+    profile_m,
+    slot_label,
+)
 from hatn_sim.labels import trajectories_from_rows as _trajectories
 from hatn_sim.perception import Perception, begin, perceive
 from hatn_sim.road import Road
@@ -38,7 +49,11 @@ class Samples:
     history_mask: BoolArray  # [S, M, T]
     goal_m: Float32Array  # [S, M]
     goal_mask: BoolArray  # [S, M]
+    profile_m: Float32Array  # [S, M, P] travelled by every node's vehicle after `PROFILE_FRAMES`
+    profile_mask: BoolArray  # [S, M, P]
     slot: IntArray  # [S] -1: none
+    crossing_s: Float32Array  # [S] until the ego crosses its focus
+    crossing_mask: BoolArray  # [S]
     history: Float32Array  # [S, T, 6]
     future: Float32Array  # [S, F, 2] s - s_t, d - d_t
     future_mask: BoolArray  # [S, F]
@@ -114,6 +129,17 @@ def _samples_of_moment(
         graphs.conflict_xy_m[keep],
     )
     slot = np.where(graphs.has_conflict[keep], slot, -1)
+    profile, profile_known = profile_m(trajectories, node.ravel(), np.repeat(frame, node.shape[1]))
+    by_time = (*node.shape, len(PROFILE_FRAMES))
+    crossing = crossing_frame(
+        trajectories,
+        rows[ego],
+        frame,
+        graphs.ego_to_conflict_m[keep, 0],
+        graphs.conflict_xy_m[keep, 0],
+        NEXT_FRAMES + FOLLOW_FRAMES,
+    )
+    crosses = (crossing >= 0) & graphs.has_conflict[keep]
     future, future_mask = _future(road, seen, ego, rows[ego], moment.frame, trajectories)
     return Samples(
         x=graphs.x[keep].astype(np.float32),
@@ -123,7 +149,11 @@ def _samples_of_moment(
         history_mask=graphs.history_mask[keep],
         goal_m=goals.reshape(node.shape).astype(np.float32),
         goal_mask=known.reshape(node.shape) & graphs.node_mask[keep],
+        profile_m=profile.reshape(by_time).astype(np.float32),
+        profile_mask=profile_known.reshape(by_time) & graphs.node_mask[keep][..., None],
         slot=slot,
+        crossing_s=np.where(crosses, (crossing - frame) * DT_S, 0.0).astype(np.float32),
+        crossing_mask=crosses,
         history=vehicle_history(seen, ego),
         future=future.astype(np.float32),
         future_mask=future_mask,
