@@ -64,7 +64,7 @@ class Hatn:
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
             intention = self.intend(graphs)
-            xy[graphs.ego] = self.decode(state, graphs.ego, intention.goal_m()[:, :1])
+            xy[graphs.ego] = self.decode(state, graphs.ego, intention.profile_m[:, 0])
             slots = intention.slot_logit.double().softmax(-1).numpy()
             weight[graphs.ego], mean[graphs.ego], std[graphs.ego] = _ego_goals(intention)
         return Prediction(
@@ -89,8 +89,9 @@ class Hatn:
 
     @torch.inference_mode()
     def decode(self, state: PerceptionState, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
-        """What the EDN makes of goals [B, G]: where vehicles [B] go in the map, [B, F, 2]."""
+        """What the EDN makes of profiles [B, P]: where vehicles [B] go in the map, [B, F, 2]."""
         seen = state.seen
+        goal_m = goal_m[:, -self.weights.edn.settings.goal_steps :]
         inputs = vehicle_inputs(state.road, seen, vehicle)
         history, line, at = map(torch.from_numpy, (inputs.history, inputs.line, inputs.at))
         future = self._drive(history, line, at, goal_m).double().numpy()

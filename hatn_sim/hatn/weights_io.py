@@ -27,7 +27,8 @@ from hatn_sim.hatn import edn_plain, kinematics
 from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
-from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
+from hatn_sim.hatn.sgn import SemanticGraphNetwork
+from hatn_sim.hatn.sgn_settings import SgnSettings
 
 FORMAT: Final = 3
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
@@ -38,6 +39,11 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "race_dropout": (0.0, 1.0),
     "history_stride": (1, HISTORY_FRAMES),
     "goal_steps": (1, edn_module.PROFILE_STEPS),
+    "graph_layers": (1, 8),
+    "heads": (1, 16),
+    "ego_weight": (0.0, 1e6),
+    "goal_l1_weight": (0.0, 1e6),
+    "label_smoothing": (0.0, 1.0),
 }
 """What each setting that is a number may be, both ends included."""
 AGAIN: Final = "train again with `hatn-sim train`"
