@@ -22,7 +22,7 @@ from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
 from hatn_sim.hatn.sgn import GraphBatch, Intention
 from hatn_sim.hatn.weights_io import Weights, load_weights
 from hatn_sim.perception import PerceptionState, begin, perceive
-from hatn_sim.predictors.constant_velocity import extrapolate
+from hatn_sim.predictors.free_motion import fallback_motion
 from hatn_sim.road import Road
 
 
@@ -57,7 +57,7 @@ class Hatn:
         components = self.weights.sgn.settings.components
         fallback = np.ones(count, dtype=np.bool_)
         fallback[graphs.ego] = False
-        xy = extrapolate(seen.scene)
+        xy = fallback_motion(seen.tracks)
         weight = np.full((count, components), 1.0 / components)
         mean = np.repeat(3.0 * seen.scene.speed_mps[:, None], components, axis=1)
         std = np.full((count, components), 3.0)
