@@ -27,7 +27,8 @@ from hatn_sim.hatn import edn_plain, kinematics
 from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
-from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
+from hatn_sim.hatn.sgn import SemanticGraphNetwork
+from hatn_sim.hatn.sgn_settings import SgnSettings
 
 FORMAT: Final = 3
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
@@ -38,6 +39,11 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "race_dropout": (0.0, 1.0),
     "history_stride": (1, HISTORY_FRAMES),
     "goal_steps": (1, edn_module.PROFILE_STEPS),
+    "graph_layers": (1, 8),
+    "heads": (1, 16),
+    "ego_weight": (0.0, 1e6),
+    "goal_l1_weight": (0.0, 1e6),
+    "label_smoothing": (0.0, 1.0),
 }
 """What each setting that is a number may be, both ends included."""
 AGAIN: Final = "train again with `hatn-sim train`"
@@ -193,7 +199,7 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
         )
     wanted = get_type_hints(kind)
     for name in names:
-        expected = _unfit(found[name], wanted[name], RANGES.get(name))
+        expected = unfit(found[name], wanted[name], RANGES.get(name))
         if expected:
             raise InputError(
                 f"weights card {path}: {network}.{name}: expected {expected}, "
@@ -202,7 +208,7 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
     return kind(**found)
 
 
-def _unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
+def unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
     """What was expected in place of a setting's value; "" where it is fit."""
     if get_origin(wanted) is Literal:
         return "" if value in get_args(wanted) else "one of " + ", ".join(get_args(wanted))

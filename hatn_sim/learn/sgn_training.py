@@ -1,4 +1,4 @@
-"""The semantic graph network, learnt alone: which slot, and how far in three seconds."""
+"""The semantic graph network: what one batch costs, how good it is, and its training alone."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from torch import Tensor, nn
 
 from hatn_sim.datatypes import IntArray
 from hatn_sim.hatn.inputs import Float32Array
-from hatn_sim.hatn.sgn import GraphBatch, SemanticGraphNetwork, SgnSettings, sgn_loss
+from hatn_sim.hatn.sgn import SemanticGraphNetwork
+from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.learn.augment import change_limits, random_scale, scale_graphs
+from hatn_sim.learn.batches import batches, device_of, graph_batch, on
 from hatn_sim.learn.dataset import Samples
+from hatn_sim.learn.sgn_loss import sgn_loss, targets
 
 JUDGED_BY: Final = "goal_error_m"
 """The figure that chooses the epoch."""
-JUDGED_AT_ONCE: Final = 2048
 
 
 class Fit(Protocol):
@@ -40,33 +42,35 @@ def train_sgn(
     model = SemanticGraphNetwork(settings)
 
     def loss_of(samples: Samples, rows: IntArray) -> Tensor:
-        scale = random_scale(len(rows))
-        batch = scale_graphs(change_limits(graph_batch(samples, rows)), scale)
-        regression, classes = sgn_loss(
-            model(batch),
-            batch,
-            torch.from_numpy(samples.goal_m[rows]) * scale[:, None],
-            torch.from_numpy(samples.goal_mask[rows]),
-            torch.from_numpy(samples.slot[rows]),
-            model.settings.class_weight,
-        )
-        return regression + classes
+        return sgn_batch_loss(model, samples, rows)
 
     best = fit(model, learn, loss_of, lambda: sgn_figures(model, tune), JUDGED_BY)
     return model, best
 
 
+def sgn_batch_loss(model: SemanticGraphNetwork, samples: Samples, rows: IntArray) -> Tensor:
+    """The loss of rows of the samples, drawn at other scales and under other speed limits."""
+    scale = random_scale(len(rows))
+    batch = scale_graphs(change_limits(graph_batch(samples, rows)), scale)
+    device = device_of(model)
+    batch, truth = on(device, batch), on(device, targets(samples, rows, scale))
+    parts = sgn_loss(model(batch), batch, truth, model.settings)
+    return torch.stack(list(parts.values())).sum()
+
+
 def sgn_figures(model: SemanticGraphNetwork, samples: Samples) -> dict[str, float]:
     """Goal error of the ego in metres and slot accuracy on samples."""
-    errors, right, several = [np.zeros(0)], 0, 0
-    for rows in _in_order(len(samples)):
+    errors, right, several = [], 0, 0
+    for rows in batches(len(samples)):
+        batch = on(device_of(model), graph_batch(samples, rows))
         with torch.no_grad():
-            intention = model(graph_batch(samples, rows))
+            intention = model(batch)
         known = samples.goal_mask[rows, 0]
-        errors.append(np.abs(intention.goal_m()[:, 0].numpy() - samples.goal_m[rows, 0])[known])
+        goal_m = intention.goal_m()[:, 0].cpu().numpy()
+        errors.append(np.abs(goal_m - samples.goal_m[rows, 0])[known])
         slot = samples.slot[rows]
         counts = (slot >= 0) & (samples.focus_mask[rows].sum(axis=1) > 1)
-        chosen = intention.slot_logit.argmax(-1).numpy()
+        chosen = intention.slot_logit.argmax(-1).cpu().numpy()
         right += int((chosen == slot)[counts].sum())
         several += int(counts.sum())
     return {
@@ -75,26 +79,16 @@ def sgn_figures(model: SemanticGraphNetwork, samples: Samples) -> dict[str, floa
     }
 
 
+def predicted_goals(model: SemanticGraphNetwork, samples: Samples) -> Float32Array:
+    """The goal [S] of every ego by the trained SGN: what the EDN is trained on."""
+    return predicted_profiles(model, samples)[:, -1]
+
+
 def predicted_profiles(model: SemanticGraphNetwork, samples: Samples) -> Float32Array:
-    """How far every ego gets [S, P], the last column in 3 s, by the trained SGN."""
+    """The profile [S, P] of every ego by the trained SGN; its end is the goal."""
     model.eval()
-    found: list[Float32Array] = []
-    for rows in _in_order(len(samples)):
+    found = []
+    for rows in batches(len(samples)):
         with torch.no_grad():
-            found.append(model(graph_batch(samples, rows)).goal_m()[:, :1].numpy())
+            found.append(model(graph_batch(samples, rows)).profile_m[:, 0].numpy())
     return np.concatenate(found)
-
-
-def graph_batch(samples: Samples, rows: IntArray) -> GraphBatch:
-    """Rows of the samples as tensors."""
-    return GraphBatch(
-        x=torch.from_numpy(samples.x[rows]),
-        context=torch.from_numpy(samples.context[rows]),
-        node_mask=torch.from_numpy(samples.node_mask[rows]),
-        focus_mask=torch.from_numpy(samples.focus_mask[rows]),
-        history_mask=torch.from_numpy(samples.history_mask[rows]),
-    )
-
-
-def _in_order(count: int) -> list[IntArray]:
-    return np.array_split(np.arange(count), count // JUDGED_AT_ONCE + 1)
