@@ -1,4 +1,4 @@
-"""The encoder-decoder network, and weight files."""
+"""The networks: composition of the race by enumeration, gradients, masks, dynamics."""
 
 from __future__ import annotations
 
@@ -18,43 +18,11 @@ from hatn_sim.graph import CONTEXT, CONTEXT_SIZE
 from hatn_sim.hatn import edn as edn_module
 from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn import weights_io
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss, frozen
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.inputs import HISTORY
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import card_of, load_weights, save_weights
 from hatn_sim.resources import weights_dir
-
-
-def test_the_decoder_starts_from_the_present_motion_and_obeys_tyres() -> None:
-    torch.manual_seed(0)
-    model = EncoderDecoderNetwork(EdnSettings(width=8)).eval()
-    speed = torch.tensor([0.0, 3.0, 12.0])
-    history = torch.zeros((3, 11, 6))
-    history[:, :, 2] = speed[:, None]
-    history[:, :, 0] = speed[:, None] * torch.arange(-10, 1) * 0.1
-    with torch.no_grad():
-        future = model(history, torch.tensor([1.0, 30.0, 0.0]))
-    path = torch.cat((torch.zeros(3, 1), future[..., 0]), 1)
-    step = torch.diff(path, dim=1)
-    assert (step >= 0).all(), "nobody drives backwards"
-    before = torch.cat((speed[:, None] * 0.1, step[:, :-1]), 1)
-    assert (torch.diff(torch.cat((speed[:, None] * 0.1, step), 1)).abs() <= 0.0801).all()
-    assert (step[:, 0] - before[:, 0]).abs().max() <= 0.0801
-
-
-@pytest.mark.parametrize("vehicles", [1, 7, 40])
-def test_the_frozen_decoder_is_the_decoder(vehicles: int) -> None:
-    torch.manual_seed(0)
-    model = EncoderDecoderNetwork(EdnSettings(width=16)).eval()
-    history, goal = torch.randn(vehicles, 11, 6), torch.rand(vehicles) * 20
-    with torch.inference_mode():
-        assert torch.equal(frozen(model)(history, goal), model(history, goal))
-
-
-def test_the_path_loss_is_the_mean_distance() -> None:
-    predicted = torch.zeros(1, 2, 2)
-    future = torch.tensor([[[3.0, 4.0], [100.0, 0.0]]])
-    mask = torch.tensor([[1.0, 0.0]])
-    assert float(edn_loss(predicted, future, mask)) == pytest.approx(5.0, rel=1e-5)
 
 
 def test_weights_come_back_bit_for_bit(tmp_path: Path) -> None:
@@ -79,7 +47,7 @@ def test_weights_come_back_bit_for_bit(tmp_path: Path) -> None:
         (lambda p: p.with_suffix(".json").write_text("{"), "not a card"),
         (
             lambda p: p.with_suffix(".json").write_text(
-                p.with_suffix(".json").read_text().replace('"format": 2', '"format": 99')
+                p.with_suffix(".json").read_text().replace('"format": 3', '"format": 99')
             ),
             "format 99",
         ),
@@ -150,7 +118,7 @@ def test_settings_out_of_range_are_refused(
     "change",
     [
         lambda card: card["sgn"].pop("history_stride"),
-        lambda card: card["sgn"].update(headz=4),
+        lambda card: card["sgn"].update(hands=4),
         lambda card: card.update(sgn=3),
         lambda card: card.pop("sgn"),
     ],
@@ -164,11 +132,11 @@ def test_settings_are_all_there_and_no_others(
 
 def test_the_card_names_what_the_networks_read(tmp_path: Path) -> None:
     card = json.loads(untrained(tmp_path).with_suffix(".json").read_text())
-    assert card["format"] == 2
+    assert card["format"] == 3
     assert tuple(card["features"]["context"]) == CONTEXT
     assert len(card["features"]["context_scale"]) == CONTEXT_SIZE
     assert card["features"]["feature_scale"] == [30.0, 10.0, 1.0, 30.0, 10.0, 1.0, 30.0]
-    assert card["features"]["history_scale"] == [10.0, 1.0, 10.0, 1.0, 0.5, 1.0]
+    assert tuple(card["features"]["history"]) == HISTORY
 
 
 @pytest.mark.parametrize(
@@ -177,7 +145,8 @@ def test_the_card_names_what_the_networks_read(tmp_path: Path) -> None:
         (weights_io, "CONTEXT", (CONTEXT[1], CONTEXT[0], *CONTEXT[2:]), "context differ"),
         (sgn_module, "FEATURE_SCALE", (1.0,) * 7, "feature_scale differ"),
         (sgn_module, "CONTEXT_SCALE", (1.0,) * CONTEXT_SIZE, "context_scale differ"),
-        (edn_module, "HISTORY_SCALE", (1.0,) * 6, "history_scale differ"),
+        (weights_io, "HISTORY", HISTORY[::-1], "history differ"),
+        (edn_module, "MAX_SLOPE", 1.0, "kinematic_limits differ"),
         (edn_module, "GOAL_SCALE_M", 5.0, "goal_scale_m differ"),
     ],
 )
@@ -223,9 +192,9 @@ def test_a_card_is_rebuilt_from_an_old_one() -> None:
         "command": "x",
     }
     card = card_of(network(), EncoderDecoderNetwork(EdnSettings(width=8)), old)
-    assert (card["format"], card["seeds"], card["command"]) == (2, [1], "x")
+    assert (card["format"], card["seeds"], card["command"]) == (3, [1], "x")
     assert card["sgn"] == asdict(SgnSettings(width=16))
-    assert card["edn"] == {"width": 8, "dropout": 0.0}
+    assert card["edn"] == asdict(EdnSettings(width=8))
     assert json.loads(json.dumps(card)) == card
 
 
@@ -259,7 +228,5 @@ def test_a_save_that_fails_leaves_what_was_there(
 
 def test_the_weights_that_ship_are_for_this_version() -> None:
     weights = load_weights(weights_dir() / "hatn.safetensors")
-    assert weights.sgn.settings == SgnSettings()
-    assert weights.edn.settings == EdnSettings()
     assert not set(weights.card["seeds"]) & set(weights.card["tune_seeds"])
     assert weights.card["command"].startswith("hatn-sim train ")

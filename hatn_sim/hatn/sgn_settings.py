@@ -5,9 +5,8 @@ One model has them all. What a setting turns on beyond the paper says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -29,12 +28,15 @@ class SgnSettings:
     history_stride: int = 2
     """Every second frame tells as much, in half the time; 1 is the paper's."""
 
-    slots: str = "race"
+    slots: Literal["race", "softmax"] = "race"
     """"race": beyond the paper, see `slots.py`. "softmax": over the nodes' scores."""
     context: bool = True
     """Beyond the paper: `graph.CONTEXT` beside the seven features."""
-    goal_from_speed: bool = True
-    """Beyond the paper: goals are learnt as a change of the distance at today's speed."""
+    goal_base: Literal["none", "speed", "anchors"] = "speed"
+    """What goals are learnt as a change of. "none": the paper's. "speed": the distance at today's
+    speed. "anchors": a choice among plain things to do, see `anchors.py`; needs `context`."""
+    goal_knows_slots: bool = False
+    """Beyond the paper: how probably a vehicle is the first to cross tells how far it gets."""
     profile: bool = False
     """Beyond the paper: the way to the goal, half second by half second, is learnt."""
     slot_modes: bool = False
@@ -56,17 +58,13 @@ class SgnSettings:
     learnt rests on more than that."""
 
 
-CHOICES: Final[Mapping[str, tuple[str, ...]]] = {"slots": ("race", "softmax")}
-"""The words that a setting of words may be."""
-
-
 def paper_sgn() -> SgnSettings:
     """The network as the paper has it ("Ours" in its table of graph networks)."""
     return SgnSettings(
         history_stride=1,
         slots="softmax",
         context=False,
-        goal_from_speed=False,
+        goal_base="none",
         class_weight=1.0,
         ego_weight=1.0,
         goal_l1_weight=0.0,

@@ -19,13 +19,13 @@ from torch import Tensor, nn
 import hatn_sim
 from hatn_sim.datatypes import Frame, IntArray
 from hatn_sim.errors import HatnSimError, InputError
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import make_folder, save_weights
-from hatn_sim.learn.augment import random_scale, scale_future, scale_history
+from hatn_sim.learn import edn_training
 from hatn_sim.learn.batches import batches
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
-from hatn_sim.learn.sgn_training import predicted_goals, train_sgn
+from hatn_sim.learn.sgn_training import predicted_profiles, train_sgn
 from hatn_sim.loop import warm_up
 
 WEIGHT_DECAY = 0.01
@@ -121,7 +121,7 @@ def train(plan: TrainingPlan, out: Path, command: str, say: Say) -> dict[str, An
         return _fit(model, learn, loss_of, figures, judged_by, plan.sgn_epochs, plan, "SGN", say)
 
     sgn, sgn_figures = train_sgn(learn, tune, SgnSettings(), fit_sgn)
-    goals, tune_goals = predicted_goals(sgn, learn), predicted_goals(sgn, tune)
+    goals, tune_goals = (predicted_profiles(sgn, part)[:, -1:] for part in (learn, tune))
     edn, edn_figures = train_edn(learn, tune, goals, tune_goals, plan, say)
     card = {
         "made_by": f"hatn-sim {hatn_sim.__version__}",
@@ -187,32 +187,14 @@ def train_edn(
     plan: TrainingPlan,
     say: Say,
 ) -> tuple[EncoderDecoderNetwork, dict[str, float]]:
-    """The encoder-decoder network, on the goals that the SGN predicts."""
-    model = EncoderDecoderNetwork(EdnSettings())
-    # Early frames are small in metres but they are what adaptation and safety look at.
-    by_step = torch.from_numpy(
-        np.where(np.arange(learn.future.shape[1]) < 5, 3.0, 1.0).astype(np.float32)
-    )
+    """The encoder-decoder network, on the goals [S, G] that the SGN predicts."""
+    model = EncoderDecoderNetwork(EdnSettings(goal_steps=goals.shape[1]))
 
     def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
-        scale = random_scale(len(rows))
-        history = scale_history(torch.from_numpy(samples.history[rows]), scale)
-        future = scale_future(torch.from_numpy(samples.future[rows]), scale)
-        predicted = model(history, torch.from_numpy(goals[rows]) * scale)
-        mask = torch.from_numpy(samples.future_mask[rows]).float() * by_step
-        return edn_loss(predicted, future, mask)
+        return edn_training.training_loss(model, samples, goals, rows)
 
     def figures() -> dict[str, float]:
-        errors = []
-        for rows in batches(len(tune)):
-            with torch.no_grad():
-                out = model(
-                    torch.from_numpy(tune.history[rows]), torch.from_numpy(tune_goals[rows])
-                )
-            distance = np.linalg.norm(out.numpy() - tune.future[rows], axis=-1)
-            errors.append(distance[tune.future_mask[rows].all(axis=1)])
-        distance = np.concatenate(errors)
-        return {"ade_3s_m": float(distance.mean()), "ade_0s3_m": float(distance[:, :3].mean())}
+        return edn_training.figures(model, tune, tune_goals)
 
     best = _fit(model, learn, loss_of, figures, "ade_3s_m", plan.edn_epochs, plan, "EDN", say)
     return model, best
