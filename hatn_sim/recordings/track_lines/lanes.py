@@ -26,11 +26,12 @@ from hatn_sim.recordings.track_lines.web import Near, Web
 
 PREFIX: Final = "driven:"
 """Begins the names of the lanes."""
-TOGETHER_M: Final = 0.4
-UNSURE_M: Final = 0.6
+TOGETHER_M: Final = 0.3
+UNSURE_M: Final = 0.5
 """Paths are taken to run together within the first, and the second over the root of the number of
 vehicles: of two vehicles the mean is not as sure as of many."""
-TOGETHER_RAD: Final = np.deg2rad(4.0)
+TOGETHER_RAD: Final = np.deg2rad(2.5)
+STRAY: Final = 2.5
 GATE_REACH_M: Final = 3.5
 """A line across a lane holds for who passes this far beside the lane's middle."""
 ONE_GATE_M: Final = 2.0
@@ -47,7 +48,11 @@ def lanes_from_tracks(tracks: Sequence[DrivenTrack], lanes: Sequence[Lane]) -> l
     lanes are those of the map. Neither the order of the tracks nor the way the world is turned and
     shifted has an effect.
     """
-    paths = [path for track in tracks if (path := driven_path(track)) is not None]
+    return lanes_from_paths([path for path in map(driven_path, tracks) if path is not None], lanes)
+
+
+def lanes_from_paths(paths: Sequence[Path], lanes: Sequence[Lane]) -> list[Lane]:
+    """The same of the paths of the vehicles among the tracks."""
     means = mean_paths(paths)
     motor = [lane for lane in lanes if lane.kinds & MOTOR]
     if not means or not motor:
@@ -69,7 +74,7 @@ def lanes_from_tracks(tracks: Sequence[DrivenTrack], lanes: Sequence[Lane]) -> l
 
 
 def _near(path: Path) -> Near:
-    return Near(TOGETHER_M + UNSURE_M / float(np.sqrt(path.vehicles)), TOGETHER_RAD)
+    return Near(TOGETHER_M + UNSURE_M / float(np.sqrt(path.vehicles)), TOGETHER_RAD, STRAY)
 
 
 def _among(names: Sequence[str], kept: set[str]) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,7 @@ SHORTEST_M: Final = 4.0
 """Shorter stretches inside or outside of a junction are of the one around them."""
 CHOICE_M: Final = 15.0
 """Ways that part so soon behind the beginning of a junction are apart from there on, as in a map:
-drivers have chosen before it."""
+drivers have chosen before it. And so are ways up to its end that join this little before it."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ def pieces_of(web: Web, inside: BoolArray, gates: Container[int]) -> list[Piece]
         if strand[-1] in gates:  # those who wait are not inside
             flags[bounds[-2] :] = False
             bounds = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
-        for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+        for first, last in pairwise(bounds):
             cut.append((tuple(strand[first : last + 1]), bool(flags[first])))
     starting: dict[int, list[int]] = {}
     for number, (points, _) in enumerate(cut):
@@ -45,7 +46,8 @@ def pieces_of(web: Web, inside: BoolArray, gates: Container[int]) -> list[Piece]
     pieces = [
         Piece(points, is_inside, tuple(starting.get(points[-1], ()))) for points, is_inside in cut
     ]
-    return _parted_early(pieces)
+    # Backwards, what joins late parts early.
+    return _backwards(_parted_early(_backwards(_parted_early(pieces))))
 
 
 def _without_short(flags: BoolArray) -> BoolArray:
@@ -103,6 +105,15 @@ def _parted_early(pieces: Sequence[Piece]) -> list[Piece]:
             ahead = [k for k in known[other].ahead if k != number]
             known[other] = replace(known[other], ahead=(*ahead, *copies))
     return _renumbered(known)
+
+
+def _backwards(pieces: Sequence[Piece]) -> list[Piece]:
+    """The pieces as they are driven from their ends to their starts."""
+    before = _before(dict(enumerate(pieces)))
+    return [
+        Piece(piece.points[::-1], piece.inside, tuple(sorted(before[k])))
+        for k, piece in enumerate(pieces)
+    ]
 
 
 def _before(pieces: dict[int, Piece]) -> dict[int, set[int]]:

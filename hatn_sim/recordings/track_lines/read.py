@@ -1,11 +1,8 @@
-"""Recordings in INTERACTION format -> whole tracks."""
+"""A recording in INTERACTION format -> whole tracks of its road users."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
-from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -14,11 +11,26 @@ from hatn_sim.recordings.interaction.files import Recorded
 from hatn_sim.recordings.interaction.table import InteractionTable, Rows
 from hatn_sim.recordings.track_lines.paths import DrivenTrack
 
-_KEPT_FILES: Final = 256
+
+def read_tracks(recorded: Recorded) -> Iterator[DrivenTrack]:
+    """The tracks of a recording without cases, each whole. Raises InputError for faulty files."""
+    for path in recorded.paths:
+        table = InteractionTable(path)
+        held: Rows | None = None
+        for rows in table.rows():
+            joined = rows if held is None else np.concatenate((held, rows))
+            *whole, held = np.split(joined, np.flatnonzero(np.diff(joined["track"])) + 1)
+            for part in whole:
+                yield _track(recorded, table, part)
+        if held is not None:
+            yield _track(recorded, table, held)
 
 
-def read_tracks(recorded: Recorded) -> tuple[DrivenTrack, ...]:
-    """All tracks of a recording. Raises InputError where its files are at fault."""
-    return tuple(
-        track for path in recorded.paths for track in _read_file(path, recorded.name)
+def _track(recorded: Recorded, table: InteractionTable, rows: Rows) -> DrivenTrack:
+    return DrivenTrack(
+        recording=recorded.name,
+        name=table.track_ids[int(rows["track"][0])],
+        kind=Kind(int(rows["kind"][0])),
+        xy_m=np.stack([rows["x_m"], rows["y_m"]], axis=1),
+        yaw_rad=rows["yaw_rad"].copy(),
     )

@@ -23,26 +23,35 @@ from hatn_sim.recordings.track_lines.paths import STEP_M, Path, poses
 
 TOGETHER_M: Final = 10.0
 """Paths that are near each other for less than this only cross or touch ..."""
-TOUCHING_M: Final = 3.0
+TOUCHING_M: Final = 1.0
 """... unless one of them begins or ends there: then this is enough."""
 APART_M: Final = 10.0
 """A path needs this much room to change over from one strand to another."""
 BEND_M: Final = 15.0
 """A path that parts from a strand is on its own course after this."""
-STRAY: Final = 2.0
-"""A path that comes back to a strand follows it all the time if it was no further off than so many
-times what counts as near: there are no two ways from one place of a strand to the next."""
+END_M: Final = 25.0
+"""Over this much at its ends a path may be beside a strand that leads in or out the same way."""
+FADE_M: Final = 40.0
+"""What it was moved by there fades over this much."""
 BESIDE_STEPS: Final = 1.5
 """Points of a web and of a path that belong together are at most so many steps apart along it."""
 
 
 @dataclass(frozen=True)
 class Near:
-    """How near a path is to a strand that it follows; it may stray up to `STRAY` times as far in
-    between."""
+    """How near a path is to a strand that it follows.
+
+    One that comes back to a strand follows it all the time if it strayed no further than `stray`
+    times as far: so there are no two ways from one place of a strand to the next.
+    """
 
     within_m: float
     turned_rad: float
+    stray: float = 1.0
+
+
+SAME_END: Final = Near(1.2, math.radians(5.0))
+"""Ends of paths this near to a strand are of the same lane: lanes are further apart."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +73,10 @@ class Web:
 
     def lay(self, path: Path, near: Near) -> None:
         """Lay a path over what is there."""
+        path = self._aligned(path)
         before: int | None = None
         at = 0
-        for run in _with_room(self._runs(path, near)):
+        for run in self._with_room(self._runs(path, near)):
             self._draw(path, at, run.places[0], before, run.points[0])
             before, at = run.points[-1], run.places[-1] + 1
         self._draw(path, at, len(path.xy_m), before, None)
@@ -123,6 +133,8 @@ class Web:
         `parts` and `joins` are the points of the web that it comes from and leads to, if any.
         """
         if end <= first:
+            if parts is not None and joins is not None:
+                self._link(parts, joins)
             return
         xy_m = path.xy_m[first:end]
         start = None if parts is None else self._pull(path, first - 1, parts)
@@ -141,6 +153,38 @@ class Web:
         own, other = path.yaw_rad[place], self.yaw_rad[point]
         turn = STEP_M * np.array([np.cos(other) - np.cos(own), np.sin(other) - np.sin(own)])
         return np.array([self.xy_m[point] - path.xy_m[place], turn])
+
+    def _aligned(self, path: Path) -> Path:
+        """A path whose ends are moved onto strands that they are beside.
+
+        Who comes from the same way in keeps to the same place in it: that the means of some are a
+        little apart is chance.
+        """
+        if not self.ahead or not path.vehicles:
+            return path
+        tree = KDTree(poses(self.xy_m, self.yaw_rad))
+        count = min(int(END_M / STEP_M), len(path.xy_m) // 2)
+        xy_m = path.xy_m.copy()
+        for end in (slice(0, count), slice(len(xy_m) - count, None)):
+            _, found = tree.query(poses(path.xy_m[end], path.yaw_rad[end]))
+            part = Path(path.xy_m[end], path.yaw_rad[end])
+            nearest: IntArray = np.asarray(found, dtype=np.int64)
+            beside = np.flatnonzero(self._fits(part, nearest, SAME_END))
+            if not len(beside):
+                continue
+            outmost = int(beside[0 if end.start == 0 else -1])
+            yaw = float(part.yaw_rad[outmost])
+            left = np.array([-np.sin(yaw), np.cos(yaw)])
+            away_m = float((self.xy_m[nearest[outmost]] - part.xy_m[outmost]) @ left)
+            place = outmost + end.start
+            steps = np.arange(len(xy_m)) - place
+            steps = np.maximum(steps if end.start == 0 else -steps, 0)
+            fade = min(FADE_M / STEP_M, float(len(xy_m)) / 2.0)
+            rest = np.clip(1.0 - steps / fade, 0.0, 1.0)
+            own_left = np.column_stack((-np.sin(path.yaw_rad), np.cos(path.yaw_rad)))
+            del left
+            xy_m += (away_m * rest * rest * (3.0 - 2.0 * rest))[:, None] * own_left
+        return Path(xy_m, tangent_rad(xy_m), path.vehicles)
 
     def _runs(self, path: Path, near: Near) -> list[_Run]:
         """Where a path follows strands, in order along it."""
@@ -181,7 +225,7 @@ class Web:
 
     def _stray(self, path: Path, place: int, point: int, near: Near) -> _Run:
         """The run that is near the path furthest along it, and how it strays at its end."""
-        far = Near(STRAY * near.within_m, STRAY * near.turned_rad)
+        far = Near(near.stray * near.within_m, near.stray * near.turned_rad)
         run = _Run([point], [place])
         while True:
             options = [
@@ -228,24 +272,27 @@ class Web:
         away = self.xy_m[run.points] - path.xy_m[run.places]
         return round(float(np.hypot(away[:, 0], away[:, 1]).mean()), 6)
 
+    def _with_room(self, runs: list[_Run]) -> list[_Run]:
+        """The runs, shortened where a path would have to jump from one strand to the next.
 
-def _with_room(runs: list[_Run]) -> list[_Run]:
-    """The runs, shortened where a path would have to jump from one strand to the next."""
-    kept: list[_Run] = []
-    for run in runs:
-        while kept and run.points:
-            before = kept[-1]
-            lacking = APART_M / STEP_M - (run.places[0] - before.places[-1] - 1)
-            if lacking <= 0:
-                break
-            half = math.ceil(lacking / 2)
-            run = _between(run, run.places[0] + half, run.places[-1])
-            kept[-1] = _between(before, before.places[0], before.places[-1] - half)
-            if not kept[-1].points:
-                kept.pop()
-        if run.points:
-            kept.append(run)
-    return kept
+        What ends where another strand begins is joined to it as it is.
+        """
+        kept: list[_Run] = []
+        for run in runs:
+            while kept and run.points:
+                before = kept[-1]
+                lacking = APART_M / STEP_M - (run.places[0] - before.places[-1] - 1)
+                ends = not self.ahead[before.points[-1]] and not self.behind[run.points[0]]
+                if lacking <= 0 or ends:
+                    break
+                half = math.ceil(lacking / 2)
+                run = _between(run, run.places[0] + half, run.places[-1])
+                kept[-1] = _between(before, before.places[0], before.places[-1] - half)
+                if not kept[-1].points:
+                    kept.pop()
+            if run.points:
+                kept.append(run)
+        return kept
 
 
 def _between(run: _Run, first: int, last: int) -> _Run:
