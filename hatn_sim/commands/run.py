@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from hatn_sim.commands.options import (
     SIMULATORS_OWN,
     add_driving,
+    add_lines_from,
     add_scene,
     add_traffic,
     chosen_scenario,
@@ -29,6 +30,7 @@ from hatn_sim.commands.options import (
     seconds,
     seconds_or_none,
     with_driving,
+    with_lines_from,
 )
 
 if TYPE_CHECKING:
@@ -91,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="reference lines from motion (default), or from the simulator's routes, which no "
         "camera can see: an upper bound",
     )
+    add_lines_from(parser, "lanes")
     parser.add_argument(
         "--egos",
         type=names,
@@ -119,7 +122,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.traffic import open_traffic
 
     started = time.monotonic()
-    scenario = with_driving(chosen_scenario(arguments), arguments)
+    scenario = with_lines_from(with_driving(chosen_scenario(arguments), arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     if arguments.warm_up is None:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
