@@ -80,23 +80,6 @@ def test_slots_are_labelled_for_egos_with_a_choice_only(cut: Samples) -> None:
     assert (cut.focus_mask[rows].sum(axis=1) > 1).all()
 
 
-def test_profiles_are_the_way_to_the_goal(cut: Samples) -> None:
-    known = cut.profile_mask.all(axis=-1)
-    np.testing.assert_array_equal(known, cut.goal_mask)
-    np.testing.assert_array_equal(cut.profile_m[known][:, -1], cut.goal_m[known])
-    assert (np.diff(cut.profile_m[known], prepend=0.0) >= 0).all()
-    # The ego's own, against its future on its line: metres driven and metres along it.
-    own = cut.future_mask.all(axis=1) & known[:, 0]
-    np.testing.assert_allclose(cut.profile_m[own, 0], cut.future[own, 4::5, 0], atol=0.6)
-
-
-def test_who_passes_crosses_and_who_yields_crosses_later(cut: Samples) -> None:
-    passes, yields = (cut.crossing_mask & rows for rows in (cut.slot > 0, cut.slot == 0))
-    assert cut.crossing_mask[cut.slot > 0].all()
-    assert cut.crossing_s[passes].max() <= 5.0
-    assert cut.crossing_s[yields].mean() > cut.crossing_s[passes].mean()
-
-
 @pytest.fixture(scope="module")
 def split() -> Split:
     """Of names alone: `few_samples` stands in for its traffic."""
@@ -354,7 +337,7 @@ def test_the_whole_command_on_recorded_tracks_and_scenes(
     text = (tmp_path / "w.json").read_text()
     card = json.loads(text)
     assert card["split"]["train"] == [
-        {"site": "recorded_sample", "recordings": ["vehicle_tracks_000.csv"]}
+        {"site": "recorded_sample", "lines": "lanes", "recordings": ["vehicle_tracks_000.csv"]}
     ]
     assert "--split split.toml --epochs 1" in card["command"]
     assert str(tmp_path) not in text and str(site) not in text

@@ -135,6 +135,7 @@ def key_of(traffic: Traffic) -> str:
     said = {
         "scenario": _without_folders(asdict(replace(scenario, recorded=None, card={}))),
         "cases": () if recorded is None else own_cases(recorded),
+        "lines": None if recorded is None or recorded.drawn is None else recorded.drawn.sha256,
         "seed": traffic.seed,
         "warm_up_s": traffic.warm_up_s,
         "duration_s": traffic.duration_s,
