@@ -28,7 +28,9 @@ from hatn_sim.errors import InputError
 from hatn_sim.log import Run, RunWriter, read_run
 from hatn_sim.report.table import score_table, scores_json, write_scores
 from hatn_sim.score import intervals
-from hatn_sim.score.prediction import MOVING_MEASURES, UNITS, clustered_over, score_run, score_runs
+from hatn_sim.score.prediction import MOVING_MEASURES, UNITS, score_run, score_runs
+from hatn_sim.score.samples import clustered_over
+from hatn_sim.score.steps import errors_by_step
 
 ONE_SAMPLE = 45
 """Frames of a run in which each vehicle is sampled once, at frame 10."""
@@ -593,6 +595,7 @@ def test_scores_as_json(tmp_path: Path) -> None:
     scores = score_run(run)
     listed = json.loads(scores_json(scores))
     keys = ["measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high"]
+    keys.append("std")
     assert all(list(entry) == keys for entry in listed)
     entry = next(e for e in listed if (e["measure"], e["subset"]) == ("ade_3s", "all"))
     assert entry["value"] == pytest.approx(1.0) and entry["n"] == 2 and entry["adapt"] == "none"

@@ -254,7 +254,8 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     from hatn_sim.datatypes import Kind
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json, write_scores
-    from hatn_sim.score.prediction import clustered_over, score_run
+    from hatn_sim.score.prediction import score_run
+    from hatn_sim.score.samples import clustered_over
 
     scoring = time.monotonic()
     logged = read_run(out)
@@ -308,7 +309,7 @@ def _write_replay(
 def _rates(logged: Run, frames: int, taken_s: float) -> list[Score]:
     """How fast the run was; not for its scores.json, which is equal in equal runs."""
     from hatn_sim.datatypes import Score
-    from hatn_sim.score.prediction import reported_name
+    from hatn_sim.score.samples import reported_name
 
     main = reported_name(logged, logged.predictors[0])
     scene, per_second = str(logged.header["scene"]), frames / taken_s
