@@ -1,4 +1,8 @@
-"""Evaluate scenes in a table and a figure, each simulated anew for every seed.
+"""Predict traffic with several predictors, score them on the same samples, and print one table.
+
+Every seed of a scene, and every recording, is a run of its own; all cores work on them. They are
+logged in OUT/runs and used again by the same command with the same --out. With --table, something
+else is put into a table, and a figure:
 
 `density`: how many vehicles interact with an ego, chosen as all of the scene, those within 30 m,
 those within 10 m, or those whose reference lines conflict with the ego's.
@@ -15,24 +19,41 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.options import add_tracks, names, seconds, seconds_or_none, seeds
+from hatn_sim.commands.options import (
+    add_lines,
+    add_networks,
+    add_tracks,
+    add_traffic,
+    names,
+    seconds,
+    seconds_or_none,
+    seeds,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
 
 EXAMPLES = """examples:
+  hatn-sim evaluate --scenes intersection5,roundabout8 --seeds 601-605
+  hatn-sim evaluate --tracks 'site/vehicle_tracks_*.csv' --map site.osm --recordings 017-021
   hatn-sim evaluate --table density
   hatn-sim evaluate --table density --scenes intersection5,my/town.sumocfg --seeds 1-5 --out town
   hatn-sim evaluate --table density --tracks 'site/vehicle_tracks_*.csv' --map site.osm
 """
 TABLES: Final = ("density", "lines")
-"""Each in a module `evaluate_TABLE` beside this one."""
+"""Each in a module `evaluate_TABLE` beside this one; without one, `evaluate_predictors`."""
 DURATION_S: Final = 120.0
+HELD_OUT: Final = (601, 602, 603, 604, 605)
+"""Seeds that the networks that ship have never seen; five of them make intervals over seeds."""
+PREDICTORS: Final = ("hatn", "constant_velocity", "idm")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hatn-sim evaluate`."""
-    parser.add_argument("--table", choices=TABLES, required=True, help="what to evaluate")
+    parser.add_argument(
+        "--table", choices=TABLES, help="what to evaluate instead of the errors of predictors"
+    )
     parser.add_argument(
         "--scenes",
         type=names,
@@ -41,8 +62,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="names of scenes, or .sumocfg files (default: all that ship)",
     )
     parser.add_argument(
-        "--seeds", type=seeds, default=(1,), metavar="A-B", help="of the traffic (default: 1)"
+        "--seeds",
+        type=seeds,
+        metavar="A-B",
+        help="of the traffic (default: 601-605, that no weights that ship were trained on; of a "
+        "--table: 1)",
     )
+    parser.add_argument(
+        "--predictors",
+        type=names,
+        metavar="A,B",
+        help=f"to compare (default: {','.join(PREDICTORS)}; your own as module:Class)",
+    )
+    add_networks(parser)
+    add_lines(parser)
     parser.add_argument(
         "--duration",
         type=seconds,
@@ -55,12 +88,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours)",
     )
+    add_traffic(parser)
     add_tracks(parser, "as a further scene")
+    parser.add_argument(
+        "--workers",
+        type=whole_number,
+        metavar="N",
+        help="runs made at once (default: as many as there are cores)",
+    )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FOLDER",
-        help="where figure and histograms go (default: the first free runs/TABLE-N)",
+        help="where figure and numbers go (default: the first free runs/evaluate-N, "
+        "runs/TABLE-N); runs that are there already are not made again",
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notices")
@@ -78,10 +119,40 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.scenes = arguments.scenes or tuple(find_scenarios())
     elif arguments.table == "lines":
         raise InputError("--table lines: recorded tracks know no routes; leave --tracks out")
+    if arguments.table is None:
+        from hatn_sim.commands import evaluate_predictors
+
+        return evaluate_predictors.main(arguments)
+    _refuse_predictors(arguments)
+    arguments.seeds = arguments.seeds or (1,)
     if arguments.table == "lines" and arguments.duration is None:
         arguments.duration = DURATION_S
     code: int = import_module(f"hatn_sim.commands.evaluate_{arguments.table}").main(arguments)
     return code
+
+
+def _refuse_predictors(arguments: argparse.Namespace) -> None:
+    """InputError for options that only the table of predictors knows."""
+    from hatn_sim.errors import InputError
+
+    usual = {"predictors": None, "weights": None, "adapt": "none", "lines": "inferred"}
+    for option, value in {**usual, "density": None, "risk": None, "workers": None}.items():
+        if getattr(arguments, option) != value:
+            raise InputError(f"--{option} is of no use to --table {arguments.table}; leave it out")
+
+
+def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Scenario]:
+    """The scenes by the name they go by: where two have the same, by the words that name them."""
+    from hatn_sim.config import load_scenario, load_tracks, recording_names
+
+    named = {
+        word: load_scenario(word, arguments.density, arguments.risk) for word in arguments.scenes
+    }
+    if arguments.tracks is not None:
+        wanted = () if arguments.recordings is None else recording_names(arguments.recordings)
+        word = " ".join(arguments.tracks)
+        named[word] = load_tracks(arguments.tracks, arguments.map, wanted)
+    return by_label(named)
 
 
 def by_label(named: Mapping[str, Scenario]) -> dict[str, Scenario]:

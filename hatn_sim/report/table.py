@@ -65,8 +65,8 @@ def write_scores(folder: Path, scores: Sequence[Score]) -> Path:
 def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Group:
     """The scores as tables for a console: for each scene errors, slots, and how wide answers are.
 
-    Each value stands over its 95 % interval, errors over their deviation too; with constant velocity among the predictors, errors
-    come with their ratio to its.
+    Each value stands over its 95 % interval, errors over their deviation too; with constant
+    velocity among the predictors, errors come with their ratio to its.
 
     Args:
         scores: of any scenes and predictors.
