@@ -28,10 +28,10 @@ def load_predictors(
     if given is not None and READS_WEIGHTS.isdisjoint(wanted):
         raise InputError(f"{given}: {', '.join(wanted)} cannot use it; leave it out, or add hatn")
     if not quiet and PAPER in wanted and weights is not None:
-        used = weights_of(PAPER, weights)
-        if used.parent != weights.parent:
+        beside = weights.with_stem(f"{weights.stem}-paper")
+        if weights_of(PAPER, weights) != beside:
             print(
-                f"hatn-sim: {PAPER}: {weights.stem}-paper.safetensors is not beside {weights}; "
+                f"hatn-sim: {PAPER}: {beside.name} is not beside {weights}; "
                 "predicting with the weights of the paper's form that ship",
                 file=sys.stderr,
             )

@@ -2,7 +2,13 @@
 
 Every seed of a scene, and every recording, is a run of its own; all cores work on them. They are
 logged in OUT/runs and used again by the same command with the same --out. With --table, something
-else is put into a table, and a figure:
+else is put into a table:
+
+`sgn`, `edn`, `intention`, `adaptation`, `summary`: the paper's ablations, its numbers beside ours.
+
+`sota`: the paper's comparison with other methods beside the predictors that there are here.
+
+`runtime`: how long each network takes for 1, 10, 50 and 100 agents.
 
 `density`: how many vehicles interact with an ego, chosen as all of the scene, those within 30 m,
 those within 10 m, or those whose reference lines conflict with the ego's.
@@ -41,8 +47,42 @@ EXAMPLES = """examples:
   hatn-sim evaluate --table density --scenes intersection5,my/town.sumocfg --seeds 1-5 --out town
   hatn-sim evaluate --table density --tracks 'site/vehicle_tracks_*.csv' --map site.osm
 """
-TABLES: Final = ("density", "lines")
-"""Each in a module `evaluate_TABLE` beside this one; without one, `evaluate_predictors`."""
+ABLATIONS: Final = ("sgn", "edn", "intention", "adaptation", "summary")
+MODULES: Final = {
+    **dict.fromkeys(ABLATIONS, "evaluate_ablations"),
+    "sota": "evaluate_sota",
+    "runtime": "evaluate_runtime",
+    "density": "evaluate_density",
+    "lines": "evaluate_lines",
+}
+"""Table -> its module, beside this one."""
+TRAFFIC: Final = {
+    "scenes": (),
+    "seeds": None,
+    "duration": None,
+    "warm_up": None,
+    "tracks": None,
+    "map": None,
+    "recordings": None,
+}
+PREDICTED: Final = {
+    "predictors": None,
+    "weights": None,
+    "adapt": "none",
+    "lines": "inferred",
+    "density": None,
+    "risk": None,
+    "workers": None,
+}
+"""Options -> what they are when they are not given."""
+USED_BY: Final = {
+    **{table: {"rows"} for table in ABLATIONS},
+    "sota": {*TRAFFIC, *PREDICTED},
+    "runtime": {"scenes", "seeds", "weights"},
+    "density": {*TRAFFIC},
+    "lines": {*TRAFFIC},
+}
+"""Table -> the options that it knows."""
 DURATION_S: Final = 120.0
 HELD_OUT: Final = (601, 602, 603, 604, 605)
 """Seeds that the networks that ship have never seen; five of them make intervals over seeds."""
@@ -52,7 +92,7 @@ PREDICTORS: Final = ("hatn", "constant_velocity", "idm")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hatn-sim evaluate`."""
     parser.add_argument(
-        "--table", choices=TABLES, help="what to evaluate instead of the errors of predictors"
+        "--table", choices=tuple(MODULES), help="what to print instead of the errors of predictors"
     )
     parser.add_argument(
         "--scenes",
@@ -91,6 +131,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_traffic(parser)
     add_tracks(parser, "as a further scene")
     parser.add_argument(
+        "--rows",
+        type=Path,
+        metavar="FILE",
+        help="of the ablations' tables: what was reached (default: by what ships)",
+    )
+    parser.add_argument(
         "--workers",
         type=whole_number,
         metavar="N",
@@ -108,37 +154,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Find the scenes and hand over to the table's module."""
+    """Hand over to the table's module."""
     from hatn_sim.errors import InputError
     from hatn_sim.resources import find_scenarios
 
+    table: str | None = arguments.table
+    _check_used(arguments)
     if arguments.tracks is None:
         for option, value in (("--map", arguments.map), ("--recordings", arguments.recordings)):
             if value is not None:
                 raise InputError(f"{option} {value} goes with --tracks; leave it out")
-        arguments.scenes = arguments.scenes or tuple(find_scenarios())
-    elif arguments.table == "lines":
+        if table in (None, "density", "lines"):
+            arguments.scenes = arguments.scenes or tuple(find_scenarios())
+    elif table == "lines":
         raise InputError("--table lines: recorded tracks know no routes; leave --tracks out")
-    if arguments.table is None:
-        from hatn_sim.commands import evaluate_predictors
-
-        return evaluate_predictors.main(arguments)
-    _refuse_predictors(arguments)
-    arguments.seeds = arguments.seeds or (1,)
-    if arguments.table == "lines" and arguments.duration is None:
+    if table in ("density", "lines"):
+        arguments.seeds = arguments.seeds or (1,)
+    if table == "lines" and arguments.duration is None:
         arguments.duration = DURATION_S
-    code: int = import_module(f"hatn_sim.commands.evaluate_{arguments.table}").main(arguments)
+    module = "evaluate_predictors" if table is None else MODULES[table]
+    code: int = import_module(f"hatn_sim.commands.{module}").main(arguments)
     return code
 
 
-def _refuse_predictors(arguments: argparse.Namespace) -> None:
-    """InputError for options that only the table of predictors knows."""
+def _check_used(arguments: argparse.Namespace) -> None:
+    """InputError for an option that what is to be printed does not know."""
     from hatn_sim.errors import InputError
 
-    usual = {"predictors": None, "weights": None, "adapt": "none", "lines": "inferred"}
-    for option, value in {**usual, "density": None, "risk": None, "workers": None}.items():
-        if getattr(arguments, option) != value:
-            raise InputError(f"--{option} is of no use to --table {arguments.table}; leave it out")
+    table: str | None = arguments.table
+    known = {*TRAFFIC, *PREDICTED} if table is None else USED_BY[table]
+    for option, value in {**TRAFFIC, **PREDICTED, "rows": None}.items():
+        if getattr(arguments, option) != value and option not in known:
+            where = "without --table" if table is None else f"to --table {table}"
+            name = option.replace("_", "-")
+            raise InputError(f"--{name} is of no use {where}; leave it out")
 
 
 def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Scenario]:

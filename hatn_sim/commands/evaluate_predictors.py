@@ -31,11 +31,10 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.report.steps_figure import draw_steps, write_steps
     from hatn_sim.report.table import score_table, scores_json, write_scores
     from hatn_sim.score.prediction import score_runs
-    from hatn_sim.score.samples import clustered_over
     from hatn_sim.score.steps import errors_by_step
 
     arguments.predictors = arguments.predictors or PREDICTORS
-    out = _folder(arguments.out)
+    out = free_or_own_folder(arguments.out, "evaluate")
     logged = make_runs(arguments, out)
     scores, steps = score_runs(logged), errors_by_step(logged)
     path = write_scores(out, scores)
@@ -44,11 +43,7 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(scores_json(scores))
         return 0
-    over = clustered_over(logged)
-    if over == "runs":
-        over = "seeds" if all(run.header.get("seed") is not None for run in logged) else over
-        over = "recordings" if all(run.header.get("seed") is None for run in logged) else over
-    make_console().print(score_table(scores, over))
+    make_console().print(score_table(scores, said_clusters(logged)))
     print(f"scores in {path}, error by step in {out / STEPS_FILE} and {out / FIGURES[0]}")
     print(f"runs in {out / RUNS_FOLDER}")
     return 0
@@ -212,13 +207,24 @@ def _word(arguments: argparse.Namespace, scenario: Scenario) -> str:
     return next((word for word in arguments.scenes if word in named), scenario.name)
 
 
-def _folder(out: Path | None) -> Path:
+def said_clusters(runs: Sequence[Run]) -> str:
+    """What the intervals are over, in the words of the user."""
+    from hatn_sim.score.samples import clustered_over
+
+    over = clustered_over(runs)
+    seeded = {run.header.get("seed") is not None for run in runs}
+    if over != "runs" or len(seeded) > 1:
+        return over
+    return "seeds" if True in seeded else "recordings"
+
+
+def free_or_own_folder(out: Path | None, name: str) -> Path:
     """Where everything goes; not made yet. Raises InputError where a file is in its place."""
     from hatn_sim.errors import InputError
 
     number = 1
     while out is None:
-        folder = Path("runs") / f"evaluate-{number}"
+        folder = Path("runs") / f"{name}-{number}"
         out = None if folder.exists() else folder
         number += 1
     if out.exists() and not out.is_dir():

@@ -6,9 +6,10 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import connection, get_context, parent_process
 from typing import Any, Final, TypeVar
@@ -66,9 +67,10 @@ def work_on(
     context = get_context("spawn")
     told, stop = context.SimpleQueue(), context.Event()
     with ProcessPoolExecutor(workers, context, _begin, (told, stop)) as pool:
-        waiting: dict[Future[Result], int] = {
-            pool.submit(_do, work, number, item): number for number, item in enumerate(items)
-        }
+        with _ctrl_c_ignored():  # which the processes inherit: who waits for them stops them
+            waiting: dict[Future[Result], int] = {
+                pool.submit(_do, work, number, item): number for number, item in enumerate(items)
+            }
         try:
             while waiting:
                 ready, _ = wait(waiting, TELL_EVERY_S, FIRST_COMPLETED)
@@ -82,18 +84,29 @@ def work_on(
             ) from None
         finally:
             stop.set()
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
 
 
 def _showing(show: Show, number: int) -> Callable[[int], None]:
     return lambda steps: show(number, steps)
 
 
+@contextmanager
+def _ctrl_c_ignored() -> Generator[None, None, None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _begin(told: Any, stop: Any) -> None:
     """The beginning of a working process."""
     global _line
     _line = told, stop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who waits for us says when to stop
     os.environ["OMP_NUM_THREADS"] = "1"  # every core has a process already
     threading.Thread(target=_leave_with_parent, daemon=True).start()
 

@@ -106,4 +106,5 @@ def _dress(axes: Axes, scale: str) -> None:
         axes.set_xlim(TIMES_S[0], TIMES_S[-1])
         axes.set_xticks([0.1, 0.3, 1.0, 3.0], ["0.1", "0.3", "1", "3"])
         axes.minorticks_off()
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.grid(color=SOFT_INK, alpha=0.25, linewidth=0.6)

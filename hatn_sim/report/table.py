@@ -81,7 +81,7 @@ def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Gr
             parts += [_slot_table(scene, of_scene), Text()]
         if any(score.n for score in of_scene if score.measure in SPREADS):
             parts += [_spread_table(scene, of_scene), Text()]
-    note = f"± deviation of samples; [low high] 95 % interval, bootstrapped over {clustered_over}"
+    note = f"± of samples; [low high] 95 % interval, bootstrapped over {clustered_over}"
     if any(score.predictor == BASELINE for score in scores):
         note += f"; x ratio to {BASELINE.replace('_', ' ')}"
     if any(score.predictor.endswith("+route") for score in scores):

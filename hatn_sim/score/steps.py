@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, IntArray
+from hatn_sim.datatypes import HORIZON_FRAMES, FloatArray, IntArray
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.log import Run
 from hatn_sim.score import intervals
@@ -62,7 +62,7 @@ def errors_by_step(runs: Sequence[Run]) -> list[StepErrors]:
             name = reported_name(of_scene[0], predictor)
             for subset, chosen in zip(SUBSETS, (np.ones_like(moving), moving), strict=True):
                 if chosen.any():
-                    found.append(_pooled(scene, name, subset, error_m, cluster, chosen))
+                    found.append(step_errors(scene, name, subset, error_m[chosen], cluster[chosen]))
     return found
 
 
@@ -71,17 +71,11 @@ def _errors_m(run: Run, scored: ScoredSamples, predictor: str) -> FloatArray:
     return displacement_m(table, rows_of(table, scored), scored)
 
 
-def _pooled(
-    scene: str,
-    predictor: str,
-    subset: str,
-    error_m: FloatArray,
-    cluster: IntArray,
-    chosen: BoolArray,
+def step_errors(
+    scene: str, predictor: str, subset: str, error_m: FloatArray, cluster: IntArray
 ) -> StepErrors:
-    values = error_m[chosen]
-    terms = np.column_stack([values, np.ones(len(values))])
-    sums = intervals.cluster_sums(terms, cluster[chosen])
+    """Of the errors [S, F] of samples, which belong together as `cluster` [S] says; S > 0."""
+    sums = intervals.cluster_sums(np.column_stack([error_m, np.ones(len(error_m))]), cluster)
     none = (np.nan, np.nan)
     bounds = np.array(
         [
@@ -93,9 +87,9 @@ def _pooled(
         scene=scene,
         predictor=predictor,
         subset=subset,
-        mean_m=values.mean(axis=0),
-        std_m=values.std(axis=0),
+        mean_m=error_m.mean(axis=0),
+        std_m=error_m.std(axis=0),
         low_m=bounds[:, 0],
         high_m=bounds[:, 1],
-        n=len(values),
+        n=len(error_m),
     )
