@@ -8,11 +8,12 @@ import sys
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 from hatn_sim.config import Scenario
-from hatn_sim.datatypes import DT_S, Advice, Frame
+from hatn_sim.datatypes import DT_S, Advice, Frame, Predictor
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
@@ -20,7 +21,7 @@ from hatn_sim.log import RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.log.schema import RUN_FILE
 from hatn_sim.loop import Adviser, LineSource, run, warm_up
-from hatn_sim.predictors.find import load_predictor
+from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
 from hatn_sim.traffic import ids_by, open_traffic
 
 FOUND_OUT: Final = "ids_by"
@@ -126,7 +127,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
     shutil.rmtree(plan.out, ignore_errors=True)
     advisers = [
         # Nobody is advised: suggestions and alerts are not what is scored.
-        Adviser(load_predictor(name, plan.weights, plan.adapt), plan.lines, frozenset())
+        Adviser(_predictor(name, plan.weights, plan.adapt), plan.lines, frozenset())
         for name in plan.predictors
     ]
     with closing(open_traffic(plan.scenario)) as simulator:
@@ -153,3 +154,14 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
     if total is not None and frames < total:
         notices.append(f"the scene was over after {frames} of {total} steps")
     return Made(frames, tuple(notices))
+
+
+def _predictor(name: str, weights: Path | None, adapt: str) -> Predictor:
+    """A predictor for one run. Networks, which keep nothing of a run, are loaded once a process."""
+    load = _network if name in READS_WEIGHTS else load_predictor
+    return load(name, weights, adapt)
+
+
+@cache
+def _network(name: str, weights: Path | None, adapt: str) -> Predictor:
+    return load_predictor(name, weights, adapt)
