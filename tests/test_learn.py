@@ -16,9 +16,10 @@ from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame
 from hatn_sim.errors import InputError
 from hatn_sim.hatn.weights_io import load_weights
-from hatn_sim.learn.augment import free_travel_m, scale_future, scale_graphs, scale_history
+from hatn_sim.learn.augment import free_travel_m, scale_graphs
+from hatn_sim.learn.batches import graph_batch
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
-from hatn_sim.learn.train import TrainingPlan, graph_batch, train
+from hatn_sim.learn.train import TrainingPlan, train
 from hatn_sim.loop import warm_up
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
@@ -69,6 +70,23 @@ def test_slots_are_labelled_for_egos_with_a_choice_only(cut: Samples) -> None:
     rows = np.flatnonzero(labelled)
     assert cut.focus_mask[rows, cut.slot[rows]].all()
     assert (cut.focus_mask[rows].sum(axis=1) > 1).all()
+
+
+def test_profiles_are_the_way_to_the_goal(cut: Samples) -> None:
+    known = cut.profile_mask.all(axis=-1)
+    np.testing.assert_array_equal(known, cut.goal_mask)
+    np.testing.assert_array_equal(cut.profile_m[known][:, -1], cut.goal_m[known])
+    assert (np.diff(cut.profile_m[known], prepend=0.0) >= 0).all()
+    # The ego's own, against its future on its line: metres driven and metres along it.
+    own = cut.future_mask.all(axis=1) & known[:, 0]
+    np.testing.assert_allclose(cut.profile_m[own, 0], cut.future[own, 4::5, 0], atol=0.6)
+
+
+def test_who_passes_crosses_and_who_yields_crosses_later(cut: Samples) -> None:
+    passes, yields = (cut.crossing_mask & rows for rows in (cut.slot > 0, cut.slot == 0))
+    assert cut.crossing_mask[cut.slot > 0].all()
+    assert cut.crossing_s[passes].max() <= 5.0
+    assert cut.crossing_s[yields].mean() > cut.crossing_s[passes].mean()
 
 
 def test_a_training_writes_weights_and_a_card_and_repeats_itself(tmp_path: Path) -> None:
@@ -231,7 +249,3 @@ def test_scaling_keeps_times_and_scales_lengths(cut: Samples) -> None:
     torch.testing.assert_close(large.x[..., 6], large.x[..., 3] - large.x[..., 0])
     lateral = large.x[:, 0, -1, 4] ** 2 * large.context[:, 0, 11]
     torch.testing.assert_close(lateral, 2.0 * batch.x[:, 0, -1, 4] ** 2 * batch.context[:, 0, 11])
-    history = scale_history(torch.from_numpy(cut.history[rows]), double)
-    future = scale_future(torch.from_numpy(cut.future[rows]), double)
-    np.testing.assert_array_equal(history[..., 1], cut.history[rows][..., 1])
-    np.testing.assert_allclose(future[:, -1, 0], 2.0 * cut.future[rows, -1, 0])

@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 from hatn_sim.graph import AHEAD_AT_M, CONTEXT
+from hatn_sim.hatn.edn import VehicleBatch
+from hatn_sim.hatn.inputs import HISTORY
 from hatn_sim.hatn.sgn import GraphBatch
 from hatn_sim.speed_profile import (
     ACCELERATION_MPS2,
@@ -46,6 +48,16 @@ _GROWING: Final = (
     _entry("acceleration"),
     _entry("distance_m"),
     _entry("speed_mps of the leader"),
+)
+_HISTORY_LENGTHS: Final = tuple(
+    index
+    for index, name in enumerate(HISTORY)
+    if name.startswith(("s_m", "d_m", "speed", "x_", "y_m"))
+)
+_HISTORY_SIDES: Final = tuple(
+    index
+    for index, name in enumerate(HISTORY)
+    if name.startswith(("d_m", "speed_mps across", "phi", "y_m", "yaw"))
 )
 _CURVATURE: Final = slice(_POINTS, 2 * _POINTS)
 
@@ -102,13 +114,23 @@ def free_travel_m(limit_mps: Tensor, curvature_per_m: Tensor, speed_mps: Tensor)
     return s
 
 
-def scale_history(history: Tensor, scale: Tensor) -> Tensor:
-    """Encoder input [B, T, 6] at another scale: s, v_s and v_d grow, d and phi stay."""
-    out = history.clone()
-    out[..., (0, 2, 3)] = out[..., (0, 2, 3)] * scale[:, None, None]
-    return out
+def scale_vehicles(
+    batch: VehicleBatch, future_xy: Tensor, goal_m: Tensor, scale: Tensor
+) -> tuple[VehicleBatch, Tensor, Tensor]:
+    """Vehicles [B], their futures [B, F, 2] and goals [B, G] at a scale [B] of their own."""
+    by = scale[:, None, None]
+    history = batch.history.clone()
+    history[..., _HISTORY_LENGTHS] = history[..., _HISTORY_LENGTHS] * by
+    batch = replace(batch, history=history, line=batch.line * by)
+    return batch, future_xy * by, goal_m * scale[:, None]
 
 
-def scale_future(future: Tensor, scale: Tensor) -> Tensor:
-    """Futures [B, F, 2] at another scale: s grows, d stays."""
-    return torch.stack((future[..., 0] * scale[:, None], future[..., 1]), -1)
+def mirror_vehicles(
+    batch: VehicleBatch, future_xy: Tensor, mirrored: Tensor
+) -> tuple[VehicleBatch, Tensor]:
+    """Those of the vehicles [B] that `mirrored` [B] names with left and right exchanged."""
+    sign = torch.where(mirrored, -1.0, 1.0)
+    history = batch.history.clone()
+    history[..., _HISTORY_SIDES] = history[..., _HISTORY_SIDES] * sign[:, None, None]
+    flip = torch.stack((torch.ones_like(sign), sign), -1)[:, None]
+    return replace(batch, history=history, line=batch.line * flip), future_xy * flip
