@@ -26,8 +26,8 @@ from hatn_sim.traffic import ids_by, open_traffic
 
 FOUND_OUT: Final = "ids_by"
 """Of a header's settings: known once the traffic has been opened."""
-UNCOMPARED: Final = ("command",)
-"""Keys of a header that may differ in a run that is used again."""
+UNCOMPARED: Final = ("command", f"settings.{FOUND_OUT}")
+"""What of a header may differ in a run that is used again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +92,11 @@ def is_there(plan: RunPlan) -> bool:
 def _comparable(header: Mapping[str, Any]) -> dict[str, Any]:
     """A header as JSON gives it back, flat, without what may differ."""
     plain: dict[str, Any] = json.loads(json.dumps(dict(header)))
-    settings = plain.pop("settings", {})
-    settings.pop(FOUND_OUT, None)
-    for key in UNCOMPARED:
-        plain.pop(key, None)
-    return plain | {f"settings.{key}": value for key, value in settings.items()}
+    flat: dict[str, Any] = {}
+    for key, value in plain.items():
+        inside = value.items() if isinstance(value, dict) else [("", value)]
+        flat |= {f"{key}.{name}" if name else key: each for name, each in inside}
+    return {key: value for key, value in flat.items() if key not in UNCOMPARED}
 
 
 def _sources(plan: RunPlan) -> list[Path]:
