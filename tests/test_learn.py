@@ -72,23 +72,6 @@ def test_slots_are_labelled_for_egos_with_a_choice_only(cut: Samples) -> None:
     assert (cut.focus_mask[rows].sum(axis=1) > 1).all()
 
 
-def test_profiles_are_the_way_to_the_goal(cut: Samples) -> None:
-    known = cut.profile_mask.all(axis=-1)
-    np.testing.assert_array_equal(known, cut.goal_mask)
-    np.testing.assert_array_equal(cut.profile_m[known][:, -1], cut.goal_m[known])
-    assert (np.diff(cut.profile_m[known], prepend=0.0) >= 0).all()
-    # The ego's own, against its future on its line: metres driven and metres along it.
-    own = cut.future_mask.all(axis=1) & known[:, 0]
-    np.testing.assert_allclose(cut.profile_m[own, 0], cut.future[own, 4::5, 0], atol=0.6)
-
-
-def test_who_passes_crosses_and_who_yields_crosses_later(cut: Samples) -> None:
-    passes, yields = (cut.crossing_mask & rows for rows in (cut.slot > 0, cut.slot == 0))
-    assert cut.crossing_mask[cut.slot > 0].all()
-    assert cut.crossing_s[passes].max() <= 5.0
-    assert cut.crossing_s[yields].mean() > cut.crossing_s[passes].mean()
-
-
 def test_a_training_writes_weights_and_a_card_and_repeats_itself(tmp_path: Path) -> None:
     plan = TrainingPlan(
         scenes=("intersection4_allway",),
