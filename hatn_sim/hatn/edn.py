@@ -23,11 +23,12 @@ from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
 from hatn_sim.hatn import edn_plain
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 from hatn_sim.hatn.kinematics import Present, path_along, positions, present_motion
+from hatn_sim.hatn.travel import PROFILE_S
 
 Signal = Literal["none", "transform", "input", "output", "hidden"]
 """How the decoder learns of the goal, or of the step it is at."""
 GOAL_SCALE_M: Final = 10.0
-PROFILE_STEPS: Final = 6
+PROFILE_STEPS: Final = len(PROFILE_S)
 """A goal may be the distances after 0.5, 1 ... 3 s in place of the last of them."""
 MAX_JERK_MPS3: Final = 30.0
 ACCELERATION_MPS2: Final = (-9.0, 6.0)

@@ -22,7 +22,7 @@ from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
 from hatn_sim.hatn.sgn import GraphBatch, Intention
 from hatn_sim.hatn.weights_io import Weights, load_weights
 from hatn_sim.perception import PerceptionState, begin, perceive
-from hatn_sim.predictors.constant_velocity import extrapolate
+from hatn_sim.predictors.free_motion import fallback_motion
 from hatn_sim.road import Road
 
 
@@ -57,14 +57,14 @@ class Hatn:
         components = self.weights.sgn.settings.components
         fallback = np.ones(count, dtype=np.bool_)
         fallback[graphs.ego] = False
-        xy = extrapolate(seen.scene)
+        xy = fallback_motion(seen.tracks)
         weight = np.full((count, components), 1.0 / components)
         mean = np.repeat(3.0 * seen.scene.speed_mps[:, None], components, axis=1)
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
             intention = self.intend(graphs)
-            xy[graphs.ego] = self.decode(state, graphs.ego, intention.goal_m()[:, :1])
+            xy[graphs.ego] = self.decode(state, graphs.ego, intention.profile_m[:, 0])
             slots = intention.slot_logit.double().softmax(-1).numpy()
             weight[graphs.ego], mean[graphs.ego], std[graphs.ego] = _ego_goals(intention)
         return Prediction(
@@ -89,8 +89,9 @@ class Hatn:
 
     @torch.inference_mode()
     def decode(self, state: PerceptionState, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
-        """What the EDN makes of goals [B, G]: where vehicles [B] go in the map, [B, F, 2]."""
+        """What the EDN makes of profiles [B, P]: where vehicles [B] go in the map, [B, F, 2]."""
         seen = state.seen
+        goal_m = goal_m[:, -self.weights.edn.settings.goal_steps :]
         inputs = vehicle_inputs(state.road, seen, vehicle)
         history, line, at = map(torch.from_numpy, (inputs.history, inputs.line, inputs.at))
         future = self._drive(history, line, at, goal_m).double().numpy()

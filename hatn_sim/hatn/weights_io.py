@@ -38,12 +38,12 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "dropout": (0.0, 1.0),
     "race_dropout": (0.0, 1.0),
     "history_stride": (1, HISTORY_FRAMES),
+    "goal_steps": (1, edn_module.PROFILE_STEPS),
     "graph_layers": (1, 8),
     "heads": (1, 16),
     "ego_weight": (0.0, 1e6),
     "goal_l1_weight": (0.0, 1e6),
     "label_smoothing": (0.0, 1.0),
-    "goal_steps": (1, edn_module.PROFILE_STEPS),
 }
 """What each setting that is a number may be, both ends included."""
 AGAIN: Final = "train again with `hatn-sim train`"

@@ -20,7 +20,7 @@ import hatn_sim
 from hatn_sim.datatypes import Frame, IntArray
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
-from hatn_sim.hatn.sgn_settings import SgnSettings
+from hatn_sim.hatn.sgn_settings import best_sgn
 from hatn_sim.hatn.weights_io import make_folder, save_weights
 from hatn_sim.learn import edn_training
 from hatn_sim.learn.batches import batches
@@ -120,8 +120,8 @@ def train(plan: TrainingPlan, out: Path, command: str, say: Say) -> dict[str, An
     ) -> dict[str, float]:
         return _fit(model, learn, loss_of, figures, judged_by, plan.sgn_epochs, plan, "SGN", say)
 
-    sgn, sgn_figures = train_sgn(learn, tune, SgnSettings(), fit_sgn)
-    goals, tune_goals = (predicted_profiles(sgn, part)[:, -1:] for part in (learn, tune))
+    sgn, sgn_figures = train_sgn(learn, tune, best_sgn(), fit_sgn)
+    goals, tune_goals = predicted_profiles(sgn, learn), predicted_profiles(sgn, tune)
     edn, edn_figures = train_edn(learn, tune, goals, tune_goals, plan, say)
     card = {
         "made_by": f"hatn-sim {hatn_sim.__version__}",
