@@ -42,6 +42,7 @@ NO_PART_IN_SAMPLES: Final = (
     "report",
     "score",
     "bench",
+    "evaluation",
     "cli",
     "hatn/edn",
     "hatn/sgn",
