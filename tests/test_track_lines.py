@@ -269,12 +269,11 @@ def write_recording(folder: Path, name: str, tracks: Sequence[DrivenTrack]) -> N
         rows = csv.writer(file)
         rows.writerow(header.split(","))
         for number, one in enumerate(tracks):
-            velocity = np.gradient(one.xy_m, 0.1, axis=0)
-            for frame, (xy, v, yaw) in enumerate(
-                zip(one.xy_m, velocity, one.yaw_rad, strict=True), start=1 + 10 * number
-            ):
-                numbers = (f"{value:.3f}" for value in (*xy, *v, yaw))
-                rows.writerow((number + 1, frame, 100 * frame, "car", *numbers, 4.5, 1.8))
+            velocity_mps = np.gradient(one.xy_m, 0.1, axis=0)
+            columns = np.column_stack((one.xy_m, velocity_mps, one.yaw_rad))
+            for frame, numbers in enumerate(columns.tolist(), start=1 + 10 * number):
+                texts = (f"{value:.3f}" for value in numbers)
+                rows.writerow((number + 1, frame, 100 * frame, "car", *texts, 4.5, 1.8))
 
 
 @pytest.fixture
