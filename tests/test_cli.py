@@ -64,7 +64,8 @@ def weights(tmp_path: Path) -> Path:
     import torch
 
     from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
-    from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
+    from hatn_sim.hatn.sgn import SemanticGraphNetwork
+    from hatn_sim.hatn.sgn_settings import SgnSettings
     from hatn_sim.hatn.weights_io import save_weights
 
     torch.manual_seed(0)

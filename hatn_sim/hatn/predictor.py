@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from hatn_sim.datatypes import (
-    HORIZON_FRAMES,
     FloatArray,
     IntArray,
     Prediction,
@@ -19,11 +18,11 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.graph import build_graphs
 from hatn_sim.hatn.edn import frozen
-from hatn_sim.hatn.inputs import vehicle_history
+from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
 from hatn_sim.hatn.sgn import GraphBatch, Intention
 from hatn_sim.hatn.weights_io import Weights, load_weights
-from hatn_sim.perception import Perception, PerceptionState, begin, perceive
-from hatn_sim.predictors.constant_velocity import extrapolate
+from hatn_sim.perception import PerceptionState, begin, perceive
+from hatn_sim.predictors.free_motion import fallback_motion
 from hatn_sim.road import Road
 
 
@@ -53,20 +52,19 @@ class Hatn:
 
     def predict_graphs(self, state: PerceptionState, graphs: SemanticGraphs) -> Prediction:
         """The prediction for one moment that has been perceived already."""
-        road, seen = state.road, state.seen
+        seen = state.seen
         count = len(seen.scene.ids)
         components = self.weights.sgn.settings.components
         fallback = np.ones(count, dtype=np.bool_)
         fallback[graphs.ego] = False
-        xy = extrapolate(seen.scene)
+        xy = fallback_motion(seen.tracks)
         weight = np.full((count, components), 1.0 / components)
         mean = np.repeat(3.0 * seen.scene.speed_mps[:, None], components, axis=1)
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
             intention = self.intend(graphs)
-            future = self.decode(seen, graphs.ego, intention.goal_m()[:, 0])
-            xy[graphs.ego] = _to_map(road, seen, graphs, future)
+            xy[graphs.ego] = self.decode(state, graphs.ego, intention.profile_m[:, 0])
             slots = intention.slot_logit.double().softmax(-1).numpy()
             weight[graphs.ego], mean[graphs.ego], std[graphs.ego] = _ego_goals(intention)
         return Prediction(
@@ -90,11 +88,14 @@ class Hatn:
         return intention
 
     @torch.inference_mode()
-    def decode(self, seen: Perception, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
-        """What the EDN makes of goals [B]: the future (s - s_t, d - d_t) [B, F, 2] of vehicles."""
-        history = torch.from_numpy(vehicle_history(seen, vehicle))
-        future: FloatArray = self._drive(history, goal_m).double().numpy()
-        return future
+    def decode(self, state: PerceptionState, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
+        """What the EDN makes of profiles [B, P]: where vehicles [B] go in the map, [B, F, 2]."""
+        seen = state.seen
+        goal_m = goal_m[:, -self.weights.edn.settings.goal_steps :]
+        inputs = vehicle_inputs(state.road, seen, vehicle)
+        history, line, at = map(torch.from_numpy, (inputs.history, inputs.line, inputs.at))
+        future = self._drive(history, line, at, goal_m).double().numpy()
+        return to_map_frame(future, seen.scene.xy_m[vehicle], seen.scene.yaw_rad[vehicle])
 
 
 def graph_batch(graphs: SemanticGraphs) -> GraphBatch:
@@ -106,16 +107,6 @@ def graph_batch(graphs: SemanticGraphs) -> GraphBatch:
         focus_mask=torch.from_numpy(graphs.focus_mask),
         history_mask=torch.from_numpy(graphs.history_mask),
     )
-
-
-def _to_map(road: Road, seen: Perception, graphs: SemanticGraphs, future: FloatArray) -> FloatArray:
-    """Positions [E, F, 2] of (s - s_t, d - d_t) [E, F, 2]; shifted so that now is exactly now."""
-    line = seen.lines.line[graphs.ego]
-    s, d = seen.lines.s_m[graphs.ego], seen.lines.d_m[graphs.ego]
-    now = road.locate(line, s, d)
-    at = road.locate(line, s[:, None] + future[..., 0], d[:, None] + future[..., 1])
-    shift = seen.scene.xy_m[graphs.ego] - now
-    return at + shift[:, None].repeat(HORIZON_FRAMES, axis=1)
 
 
 def _ego_goals(intention: Intention) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -24,16 +24,44 @@ def _constant_velocity(weights: Path | None) -> Predictor:
     return ConstantVelocity()
 
 
+def _constant_acceleration(weights: Path | None) -> Predictor:
+    from hatn_sim.predictors.constant_acceleration import ConstantAcceleration
+
+    return ConstantAcceleration()
+
+
+def _constant_turn_rate(weights: Path | None) -> Predictor:
+    from hatn_sim.predictors.constant_turn_rate import ConstantTurnRate
+
+    return ConstantTurnRate()
+
+
 def _idm(weights: Path | None) -> Predictor:
     from hatn_sim.predictors.idm import IntelligentDriverModel
 
     return IntelligentDriverModel()
 
 
+def _fsm_d(weights: Path | None) -> Predictor:
+    from hatn_sim.predictors.fsm import CloserBy, FiniteStateMachine
+
+    return FiniteStateMachine(CloserBy.DISTANCE)
+
+
+def _fsm_t(weights: Path | None) -> Predictor:
+    from hatn_sim.predictors.fsm import CloserBy, FiniteStateMachine
+
+    return FiniteStateMachine(CloserBy.TIME)
+
+
 PREDICTORS: Final[dict[str, Callable[[Path | None], Predictor]]] = {
     "hatn": _hatn,
     "constant_velocity": _constant_velocity,
+    "constant_acceleration": _constant_acceleration,
+    "constant_turn_rate": _constant_turn_rate,
     "idm": _idm,
+    "fsm_d": _fsm_d,
+    "fsm_t": _fsm_t,
 }
 READS_WEIGHTS: Final = frozenset({"hatn"})
 """Those that `weights` are for; anybody's own are made without arguments."""
