@@ -155,6 +155,19 @@ def test_conflicts_are_where_the_driven_ways_meet() -> None:
     assert at[1] == pytest.approx(y_m, abs=1.5)
 
 
+def test_who_merges_behind_the_map_s_junction_still_merges() -> None:
+    late = [track(f"late{k}", left_turn(20.0), 0.05 * k) for k in range(-3, 4)]
+    tracks = [one for one in traffic() if not one.name.startswith("west_north")]
+    road = Road(lanes_from_tracks([*tracks, *late], crossing_lanes()))
+    north, left = line_between(road, S, N)[0], line_between(road, W, N)[0]
+    (merge,) = road.conflicts(left, north)
+    assert merge.type is ConflictType.MERGE
+    y_m = 20.0 * (1.0 - np.sin(np.arccos(1.0 - 1.8 / 20.0)))
+    assert y_m > 8.0  # where the map's junction ends
+    at = road.lines[north].xy_m[round(merge.entry_s_m[1] / 0.5)]
+    assert at[1] == pytest.approx(y_m, abs=1.5)
+
+
 def test_lanes_where_nobody_drove_stay() -> None:
     tracks = [one for one in traffic() if one.name.startswith("west_east")]
     drawn = lanes_from_tracks(tracks, crossing_lanes())
