@@ -34,6 +34,7 @@ FADE_M: Final = 10.0
 """A vehicle's say in the mean grows over the first metres it is seen, and fades over the last."""
 MEAN_SMOOTH_M: Final = 12.0
 ROUNDS: Final = 2
+_EXACT_M: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,20 +69,20 @@ class _Feet:
 def mean_paths(paths: Sequence[Path]) -> list[Path]:
     """The mean paths of the ways that were driven, those of most vehicles first.
 
-    The order of the paths is without effect, but for paths of the same length to 0.1 mm.
+    The order of the paths is without effect.
     """
     if len(paths) < FEWEST:
         return []
-    stock = _stock(sorted(paths, key=lambda path: (-len(path.xy_m), _exact_length_m(path))))
+    stock = _stock(sorted(paths, key=_longest_first))
     found = _ways(stock)
     for _ in range(ROUNDS):
         found = _reassigned(stock, found)
-    return sorted(found, key=lambda path: (-path.vehicles, -path.length_m, _exact_length_m(path)))
+    return sorted(found, key=lambda path: (-path.vehicles, *_longest_first(path)))
 
 
-def _exact_length_m(path: Path) -> float:
-    """From end to end: the same however the world is turned, and hardly ever for two paths."""
-    return round(float(np.linalg.norm(path.xy_m[-1] - path.xy_m[0])), 4)
+def _longest_first(path: Path) -> tuple[int, str]:
+    """A key that is the same however the world is turned."""
+    return -len(path.xy_m), path.name
 
 
 def _stock(paths: Sequence[Path]) -> _Stock:
@@ -172,7 +173,7 @@ def _mean(path: Path, some: IntArray, feet: _Feet, among: BoolArray | None = Non
     """
     chosen = feet.along if among is None else feet.along & among
     stations = np.arange(len(path.xy_m)) * STEP_M
-    low, high = feet.span_m[:, 0], feet.span_m[:, 1]
+    low, high = feet.span_m[:, 0] - _EXACT_M, feet.span_m[:, 1] + _EXACT_M
     seen = (low[:, None] <= stations) & (stations <= high[:, None]) & chosen[:, None]
     if among is None:
         count = seen.sum(axis=0)
@@ -203,4 +204,4 @@ def _mean(path: Path, some: IntArray, feet: _Feet, among: BoolArray | None = Non
     yaw = path.yaw_rad[extent]
     left = np.column_stack((-np.sin(yaw), np.cos(yaw)))
     xy_m = path.xy_m[extent] + (total / weight)[:, None] * left
-    return path_through(smoothed(xy_m, MEAN_SMOOTH_M), len(members))
+    return path_through(smoothed(xy_m, MEAN_SMOOTH_M), len(members), path.name)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import FloatArray, IntArray, Lane
-from hatn_sim.geometry import resample, tangent_rad, wrap_angle
+from hatn_sim.geometry import resample, wrap_angle
 from hatn_sim.recordings.track_lines.paths import STEP_M, poses
 
 FAR_M: Final = 5.0
@@ -21,10 +21,12 @@ class LaneMatch:
     """Finds the lane of a map that a pose belongs to."""
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
+        # Points between the ends, which belong to the lanes that follow as well.
         parts = [resample(lane.xy_m, STEP_M) for lane in lanes]
-        self._xy_m = np.concatenate(parts)
-        self._yaw_rad = np.concatenate([tangent_rad(part) for part in parts])
-        self._owner = np.repeat(np.arange(len(lanes)), [len(part) for part in parts])
+        steps = np.concatenate([np.diff(part, axis=0) for part in parts])
+        self._xy_m = np.concatenate([(part[1:] + part[:-1]) / 2.0 for part in parts])
+        self._yaw_rad = np.arctan2(steps[:, 1], steps[:, 0])
+        self._owner = np.repeat(np.arange(len(lanes)), [len(part) - 1 for part in parts])
         self._tree = KDTree(poses(self._xy_m, self._yaw_rad))
 
     def lane_at(self, xy_m: FloatArray, yaw_rad: FloatArray) -> IntArray:

@@ -38,21 +38,25 @@ class DrivenTrack:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Points `STEP_M` apart. `vehicles` drove it: 1 for a track, 0 for a path of the map."""
+    """Points `STEP_M` apart. `vehicles` drove it: 1 for a track, 0 for a path of the map.
+
+    The name, of a track or of one of those that made a mean, settles the order of equal paths.
+    """
 
     xy_m: FloatArray  # [P, 2]
     yaw_rad: FloatArray  # [P] unwrapped
     vehicles: int = 1
+    name: str = ""
 
     @property
     def length_m(self) -> float:
         return (len(self.xy_m) - 1) * STEP_M
 
 
-def path_through(xy_m: FloatArray, vehicles: int = 1) -> Path:
+def path_through(xy_m: FloatArray, vehicles: int = 1, name: str = "") -> Path:
     """The path along a polyline [P, 2]."""
     xy_m = resample(xy_m, STEP_M)
-    return Path(xy_m, tangent_rad(xy_m), vehicles)
+    return Path(xy_m, tangent_rad(xy_m), vehicles, name)
 
 
 def driven_path(track: DrivenTrack) -> Path | None:
@@ -68,7 +72,8 @@ def driven_path(track: DrivenTrack) -> Path | None:
     ahead = step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)
     if (ahead < 0.0).mean() > REVERSED:
         return None
-    return path_through(smoothed(resample(xy_m, STEP_M), TRACK_SMOOTH_M))
+    name = f"{track.recording}:{track.name}"
+    return path_through(smoothed(resample(xy_m, STEP_M), TRACK_SMOOTH_M), name=name)
 
 
 def _thinned(xy_m: FloatArray) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,6 +19,9 @@ SHORTEST_M: Final = 4.0
 CHOICE_M: Final = 15.0
 """Ways that part so soon behind the beginning of a junction are apart from there on, as in a map:
 drivers have chosen before it. And so are ways up to its end that join this little before it."""
+
+MERGING_M: Final = 40.0
+"""Ways from a junction that take longer to merge are lanes side by side until then."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +50,9 @@ def pieces_of(web: Web, inside: BoolArray, gates: Container[int]) -> list[Piece]
     pieces = [
         Piece(points, is_inside, tuple(starting.get(points[-1], ()))) for points, is_inside in cut
     ]
+    pieces = _inside_until_merged(pieces, gates)
     # Backwards, what joins late parts early.
-    return _backwards(_parted_early(_backwards(_parted_early(pieces))))
+    return _joined(_backwards(_parted_early(_backwards(_parted_early(pieces)))))
 
 
 def _without_short(flags: BoolArray) -> BoolArray:
@@ -60,6 +65,24 @@ def _without_short(flags: BoolArray) -> BoolArray:
             return flags
         k = int(lengths.argmin())
         flags[bounds[k] : bounds[k + 1]] ^= True
+
+
+def _inside_until_merged(pieces: Sequence[Piece], gates: Container[int]) -> list[Piece]:
+    """The pieces, of which those that lead from a junction into a merge are inside of it as well.
+
+    As on a map a junction ends where its ways have become one; drivers take longer to merge.
+    """
+    inside = [piece.inside for piece in pieces]
+    arriving = Counter(piece.points[-1] for piece in pieces)
+    open_numbers = [k for k, piece in enumerate(pieces) if piece.inside]
+    while open_numbers:
+        for k in pieces[open_numbers.pop()].ahead:
+            end = pieces[k].points[-1]
+            short = (len(pieces[k].points) - 1) * STEP_M < MERGING_M
+            if not inside[k] and short and arriving[end] > 1 and end not in gates:
+                inside[k] = True
+                open_numbers.append(k)
+    return [replace(piece, inside=flag) for piece, flag in zip(pieces, inside, strict=True)]
 
 
 def _parted_early(pieces: Sequence[Piece]) -> list[Piece]:
@@ -104,6 +127,24 @@ def _parted_early(pieces: Sequence[Piece]) -> list[Piece]:
         for other in before[number]:
             ahead = [k for k in known[other].ahead if k != number]
             known[other] = replace(known[other], ahead=(*ahead, *copies))
+    return _renumbered(known)
+
+
+def _joined(pieces: Sequence[Piece]) -> list[Piece]:
+    """The pieces, of which those inside a junction that only follow each other are one."""
+    known = dict(enumerate(pieces))
+    before = _before(known)
+    for number in range(len(pieces)):
+        while number in known and known[number].inside and len(known[number].ahead) == 1:
+            (following,) = known[number].ahead
+            way = known[following]
+            if not way.inside or before[following] != {number} or following == number:
+                break
+            points = known[number].points + way.points[1:]
+            known[number] = replace(way, points=points)
+            for k in way.ahead:
+                before[k] = {number if other == following else other for other in before[k]}
+            del known[following]
     return _renumbered(known)
 
 

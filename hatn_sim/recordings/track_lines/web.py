@@ -162,36 +162,40 @@ class Web:
         """
         if not self.ahead or not path.vehicles:
             return path
-        tree = KDTree(poses(self.xy_m, self.yaw_rad))
+        start = self._beside_start(path)
+        back = Path(path.xy_m[::-1], path.yaw_rad[::-1], path.vehicles)
+        stop = self._beside_start(back)
+        left = np.column_stack((-np.sin(path.yaw_rad), np.cos(path.yaw_rad)))
+        left_m = start + stop[::-1]
+        xy_m = path.xy_m + left_m[:, None] * left
+        return Path(xy_m, tangent_rad(xy_m), path.vehicles, path.name)
+
+    def _beside_start(self, path: Path) -> FloatArray:
+        """How far left [P] of the first points of a path a strand is, fading along the path."""
         count = min(int(END_M / STEP_M), len(path.xy_m) // 2)
-        xy_m = path.xy_m.copy()
-        for end in (slice(0, count), slice(len(xy_m) - count, None)):
-            _, found = tree.query(poses(path.xy_m[end], path.yaw_rad[end]))
-            part = Path(path.xy_m[end], path.yaw_rad[end])
-            nearest: IntArray = np.asarray(found, dtype=np.int64)
-            beside = np.flatnonzero(self._fits(part, nearest, SAME_END))
-            if not len(beside):
-                continue
-            outmost = int(beside[0 if end.start == 0 else -1])
-            yaw = float(part.yaw_rad[outmost])
-            left = np.array([-np.sin(yaw), np.cos(yaw)])
-            away_m = float((self.xy_m[nearest[outmost]] - part.xy_m[outmost]) @ left)
-            place = outmost + end.start
-            steps = np.arange(len(xy_m)) - place
-            steps = np.maximum(steps if end.start == 0 else -steps, 0)
-            fade = min(FADE_M / STEP_M, float(len(xy_m)) / 2.0)
-            rest = np.clip(1.0 - steps / fade, 0.0, 1.0)
-            own_left = np.column_stack((-np.sin(path.yaw_rad), np.cos(path.yaw_rad)))
-            del left
-            xy_m += (away_m * rest * rest * (3.0 - 2.0 * rest))[:, None] * own_left
-        return Path(xy_m, tangent_rad(xy_m), path.vehicles)
+        first = Path(path.xy_m[:count], path.yaw_rad[:count])
+        nearest = self._nearest(first)
+        beside = np.flatnonzero(self._fits(first, nearest, SAME_END))
+        if not len(beside):
+            return np.zeros(len(path.xy_m))
+        place = int(beside[0])
+        yaw, away = path.yaw_rad[place], self.xy_m[nearest[place]] - path.xy_m[place]
+        left_m = away[1] * np.cos(yaw) - away[0] * np.sin(yaw)
+        fade = min(FADE_M / STEP_M, len(path.xy_m) / 2.0)
+        rest = 1.0 - np.clip((np.arange(len(path.xy_m)) - place) / fade, 0.0, 1.0)
+        return left_m * rest * rest * (3.0 - 2.0 * rest)
+
+    def _nearest(self, path: Path) -> IntArray:
+        """The points [P] of the web nearest to those of a path in place and direction."""
+        tree = KDTree(poses(self.xy_m, self.yaw_rad))
+        _, found = tree.query(poses(path.xy_m, path.yaw_rad))
+        return np.asarray(found, dtype=np.int64)
 
     def _runs(self, path: Path, near: Near) -> list[_Run]:
         """Where a path follows strands, in order along it."""
         if not self.ahead:
             return []
-        _, found = KDTree(poses(self.xy_m, self.yaw_rad)).query(poses(path.xy_m, path.yaw_rad))
-        nearest: IntArray = np.asarray(found, dtype=np.int64)
+        nearest = self._nearest(path)
         fits = self._fits(path, nearest, near)
         runs: list[_Run] = []
         place, last = 0, len(path.xy_m) - 1
