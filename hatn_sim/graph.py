@@ -72,7 +72,7 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
     nodes = _interacting(road, seen, ego)
     rear, ego_m, rear_m, focus, kind, node_mask, conflict_s = nodes
     has_conflict: BoolArray = np.asarray(node_mask[:, 1:].any(axis=1))
-    gates = _next_gates(road, seen)
+    gates = next_gates(road, seen)
     front, front_type, front_s = _fronts(seen, gates, rear, rear_m, node_mask, has_conflict)
     x, history = _features(road, seen, rear, rear_m, front, front_s, node_mask)
     to_conflict_m = (ego_m, rear_m)
@@ -179,7 +179,7 @@ def active_conflicts(road: Road, seen: Perception, ego: IntArray) -> Active:
 
 
 @dataclass(frozen=True, eq=False)
-class _Gates:
+class Gates:
     """Distance [N] of every front bumper to what it meets first of its kind; inf: nothing."""
 
     stop_m: FloatArray  # stop line
@@ -187,11 +187,12 @@ class _Gates:
     closed_m: FloatArray  # closed signal
 
 
-def _next_gates(road: Road, seen: Perception) -> _Gates:
+def next_gates(road: Road, seen: Perception) -> Gates:
+    """The gates ahead of every vehicle on its line."""
     line = np.maximum(seen.lines.line, 0)
     if not len(road.count):
         nothing = np.full(len(line), np.inf)
-        return _Gates(nothing, nothing, nothing)
+        return Gates(nothing, nothing, nothing)
     front = seen.lines.s_m + 0.5 * seen.scene.size_m[:, 0]
     to_gate = road.gate_s_m[line] - front[:, None]
     # A vehicle that stands with its bumper a little over the line is still behind it.
@@ -205,7 +206,7 @@ def _next_gates(road: Road, seen: Perception) -> _Gates:
     def nearest_m(counts: BoolArray) -> FloatArray:
         return np.where(ahead & counts, to_gate, np.inf).min(axis=1)
 
-    return _Gates(
+    return Gates(
         stop_m=nearest_m(kind == Gate.STOP_LINE),
         give_way_m=nearest_m(kind == Gate.GIVE_WAY_LINE),
         closed_m=nearest_m((kind == Gate.SIGNAL) & closed[signal]),
@@ -214,7 +215,7 @@ def _next_gates(road: Road, seen: Perception) -> _Gates:
 
 def _fronts(
     seen: Perception,
-    gates: _Gates,
+    gates: Gates,
     rear: IntArray,
     rear_m: FloatArray,
     node_mask: BoolArray,
@@ -285,7 +286,7 @@ def _leader_motion(road: Road, seen: Perception) -> Motion:
 def _context(
     road: Road,
     seen: Perception,
-    gates: _Gates,
+    gates: Gates,
     ego: IntArray,
     rear: IntArray,
     front: IntArray,
@@ -337,7 +338,7 @@ class _VehicleContext:
     leader_mps: FloatArray  # [N]
 
 
-def _vehicle_context(road: Road, seen: Perception, gates: _Gates) -> _VehicleContext:
+def _vehicle_context(road: Road, seen: Perception, gates: Gates) -> _VehicleContext:
     scene, lines = seen.scene, seen.lines
     safe = np.maximum(lines.line, 0)
     profile = np.zeros((len(scene.ids), ROAD_CONTEXT))

@@ -64,7 +64,8 @@ def weights(tmp_path: Path) -> Path:
     import torch
 
     from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
-    from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
+    from hatn_sim.hatn.sgn import SemanticGraphNetwork
+    from hatn_sim.hatn.sgn_settings import SgnSettings
     from hatn_sim.hatn.weights_io import save_weights
 
     torch.manual_seed(0)
@@ -342,6 +343,7 @@ def test_json_of_run_and_score_is_the_list_of_scores_and_the_rate_of_the_run(
     assert json.loads(Path("run/scores.json").read_text()) == scores
     keys = (
         "measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high",
+        "std",
     )  # fmt: skip
     assert tuple(field.name for field in fields(Score)) == keys
     assert all(tuple(score) == keys for score in [*scores, rate, factor])

@@ -5,160 +5,24 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
-from itertools import permutations
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from test_sgn import batch_of, network
 
 from hatn_sim.errors import InputError
 from hatn_sim.graph import CONTEXT, CONTEXT_SIZE
 from hatn_sim.hatn import edn as edn_module
 from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn import weights_io
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss, frozen
-from hatn_sim.hatn.sgn import (
-    GraphBatch,
-    SemanticGraphNetwork,
-    SgnSettings,
-    race_log_probability,
-    sgn_loss,
-)
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.inputs import HISTORY
+from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import card_of, load_weights, save_weights
 from hatn_sim.resources import weights_dir
-
-
-def batch_of(egos: int = 4, nodes: int = 5, seed: int = 0) -> GraphBatch:
-    random = torch.Generator().manual_seed(seed)
-    node_mask = torch.rand((egos, nodes), generator=random) < 0.7
-    node_mask[:, 0] = True
-    focus = node_mask & (torch.rand((egos, nodes), generator=random) < 0.7)
-    focus[:, 0] = True
-    return GraphBatch(
-        x=torch.randn((egos, nodes, 11, 7), generator=random) * 10 * node_mask[:, :, None, None],
-        context=torch.rand((egos, nodes, CONTEXT_SIZE), generator=random) * node_mask[..., None],
-        node_mask=node_mask,
-        focus_mask=focus,
-        history_mask=node_mask[:, :, None].expand(-1, -1, 11),
-    )
-
-
-def network() -> SemanticGraphNetwork:
-    torch.manual_seed(1)
-    return SemanticGraphNetwork(SgnSettings(width=16)).eval()
-
-
-@given(st.lists(st.floats(-4.0, 4.0), min_size=2, max_size=5))
-def test_the_race_by_enumeration(utilities: list[float]) -> None:
-    """Plackett and Luce: draw the order one by one; sum over all orders of crossing."""
-    weight = np.exp(utilities)
-    expected = np.zeros(len(utilities))
-    for order in permutations(range(len(utilities))):
-        chance, left = 1.0, weight.sum()
-        for runner in order:
-            chance *= weight[runner] / left
-            left -= weight[runner]
-        expected[0 if order[0] != 0 else order[1]] += chance
-    mask = torch.ones((1, len(utilities)), dtype=torch.bool)
-    found = race_log_probability(torch.tensor([utilities], dtype=torch.float64), mask).exp()
-    np.testing.assert_allclose(found[0], expected, atol=1e-9)
-
-
-def test_slots_outside_the_focus_have_no_probability_and_the_rest_sums_to_one() -> None:
-    batch = batch_of(64)
-    with torch.no_grad():
-        chance = network()(batch).slot_logit.exp()
-    assert (chance[~batch.focus_mask] == 0).all()
-    np.testing.assert_allclose(chance.sum(-1), 1.0, atol=1e-5)
-    alone = batch.focus_mask.sum(-1) == 1
-    assert alone.any()
-    assert (chance[alone, 0] == 1).all()
-
-
-def test_padding_and_the_order_of_nodes_do_not_matter() -> None:
-    batch = batch_of(32)
-    model = network()
-    order = torch.tensor([0, 3, 1, 4, 2])
-    shuffled = GraphBatch(**{name: value[:, order] for name, value in vars(batch).items()})
-    wider = GraphBatch(
-        **{
-            name: torch.cat((value, torch.zeros_like(value[:, :2])), 1)
-            for name, value in vars(batch).items()
-        }
-    )
-    with torch.no_grad():
-        plain, mixed, padded = model(batch), model(shuffled), model(wider)
-    torch.testing.assert_close(mixed.slot_logit, plain.slot_logit[:, order])
-    torch.testing.assert_close(mixed.goal_m(), plain.goal_m()[:, order])
-    torch.testing.assert_close(padded.slot_logit[:, :5], plain.slot_logit)
-    torch.testing.assert_close(padded.goal_m()[:, :5], plain.goal_m())
-
-
-def test_the_loss_by_hand() -> None:
-    """One ego, one component: the density of a normal distribution and -log p of the slot."""
-    batch = batch_of(1, 2, seed=3)
-    batch.node_mask[:] = batch.focus_mask[:] = True
-    with torch.no_grad():
-        model = SemanticGraphNetwork(SgnSettings(width=8, components=1)).eval()
-        intention = model(batch)
-        goal = torch.tensor([[5.0, 7.0]])
-        known = torch.tensor([[True, False]])
-        regression, classes = sgn_loss(intention, batch, goal, known, torch.tensor([1]), 2.0)
-    mean = float(intention.goal_mean_m[0, 0, 0])
-    std = float(intention.goal_std_m[0, 0, 0])
-    density = -0.5 * ((5.0 - mean) / std) ** 2 - np.log(std)
-    assert float(regression) == pytest.approx(abs(5.0 - mean) * 0.4 - density, rel=1e-4)
-    log_p = intention.slot_logit[0].numpy()
-    assert float(classes) == pytest.approx(-2.0 * (0.95 * log_p[1] + 0.05 * log_p.mean()), rel=1e-5)
-
-
-def test_no_gradient_is_lost_or_infinite_where_nodes_are_masked() -> None:
-    batch = batch_of(16)
-    model = network().train()
-    intention = model(batch)
-    slot = torch.zeros(16, dtype=torch.int64)
-    losses = sgn_loss(intention, batch, torch.ones(16, 5), batch.node_mask, slot, 1.0)
-    sum(losses).backward()  # type: ignore[union-attr]
-    for name, parameter in model.named_parameters():
-        assert parameter.grad is not None, name
-        assert torch.isfinite(parameter.grad).all(), name
-
-
-def test_the_decoder_starts_from_the_present_motion_and_obeys_tyres() -> None:
-    torch.manual_seed(0)
-    model = EncoderDecoderNetwork(EdnSettings(width=8)).eval()
-    speed = torch.tensor([0.0, 3.0, 12.0])
-    history = torch.zeros((3, 11, 6))
-    history[:, :, 2] = speed[:, None]
-    history[:, :, 0] = speed[:, None] * torch.arange(-10, 1) * 0.1
-    with torch.no_grad():
-        future = model(history, torch.tensor([1.0, 30.0, 0.0]))
-    path = torch.cat((torch.zeros(3, 1), future[..., 0]), 1)
-    step = torch.diff(path, dim=1)
-    assert (step >= 0).all(), "nobody drives backwards"
-    before = torch.cat((speed[:, None] * 0.1, step[:, :-1]), 1)
-    assert (torch.diff(torch.cat((speed[:, None] * 0.1, step), 1)).abs() <= 0.0801).all()
-    assert (step[:, 0] - before[:, 0]).abs().max() <= 0.0801
-
-
-@pytest.mark.parametrize("vehicles", [1, 7, 40])
-def test_the_frozen_decoder_is_the_decoder(vehicles: int) -> None:
-    torch.manual_seed(0)
-    model = EncoderDecoderNetwork(EdnSettings(width=16)).eval()
-    history, goal = torch.randn(vehicles, 11, 6), torch.rand(vehicles) * 20
-    with torch.inference_mode():
-        assert torch.equal(frozen(model)(history, goal), model(history, goal))
-
-
-def test_the_path_loss_is_the_mean_distance() -> None:
-    predicted = torch.zeros(1, 2, 2)
-    future = torch.tensor([[[3.0, 4.0], [100.0, 0.0]]])
-    mask = torch.tensor([[1.0, 0.0]])
-    assert float(edn_loss(predicted, future, mask)) == pytest.approx(5.0, rel=1e-5)
 
 
 def test_weights_come_back_bit_for_bit(tmp_path: Path) -> None:
@@ -183,7 +47,7 @@ def test_weights_come_back_bit_for_bit(tmp_path: Path) -> None:
         (lambda p: p.with_suffix(".json").write_text("{"), "not a card"),
         (
             lambda p: p.with_suffix(".json").write_text(
-                p.with_suffix(".json").read_text().replace('"format": 2', '"format": 99')
+                p.with_suffix(".json").read_text().replace('"format": 3', '"format": 99')
             ),
             "format 99",
         ),
@@ -234,6 +98,10 @@ def refusal(path: Path, change: Callable[[dict[str, Any]], object]) -> str:
         ("sgn", "history_stride", 12),
         ("sgn", "class_weight", float("nan")),
         ("sgn", "dropout", 5),
+        ("sgn", "heads", 0),
+        ("sgn", "temporal", 1),
+        ("sgn", "slots", "sigmoid"),
+        ("sgn", "slots", True),
         ("edn", "dropout", "0.1"),
         ("edn", "width", None),
     ],
@@ -242,7 +110,7 @@ def test_settings_out_of_range_are_refused(
     tmp_path: Path, network_name: str, key: str, value: object
 ) -> None:
     said = refusal(untrained(tmp_path), lambda card: card[network_name].update({key: value}))
-    assert f"w.json: {network_name}.{key}: expected a" in said
+    assert f"w.json: {network_name}.{key}: expected " in said
     assert f"found {value!r}" in said
 
 
@@ -250,7 +118,7 @@ def test_settings_out_of_range_are_refused(
     "change",
     [
         lambda card: card["sgn"].pop("history_stride"),
-        lambda card: card["sgn"].update(heads=4),
+        lambda card: card["sgn"].update(hands=4),
         lambda card: card.update(sgn=3),
         lambda card: card.pop("sgn"),
     ],
@@ -259,16 +127,16 @@ def test_settings_are_all_there_and_no_others(
     tmp_path: Path, change: Callable[[dict[str, Any]], object]
 ) -> None:
     said = refusal(untrained(tmp_path), change)
-    assert "sgn: expected the settings width, components, class_weight, dropout, race" in said
+    assert "sgn: expected the settings width, components, temporal, attend_absolute, gra" in said
 
 
 def test_the_card_names_what_the_networks_read(tmp_path: Path) -> None:
     card = json.loads(untrained(tmp_path).with_suffix(".json").read_text())
-    assert card["format"] == 2
+    assert card["format"] == 3
     assert tuple(card["features"]["context"]) == CONTEXT
     assert len(card["features"]["context_scale"]) == CONTEXT_SIZE
     assert card["features"]["feature_scale"] == [30.0, 10.0, 1.0, 30.0, 10.0, 1.0, 30.0]
-    assert card["features"]["history_scale"] == [10.0, 1.0, 10.0, 1.0, 0.5, 1.0]
+    assert tuple(card["features"]["history"]) == HISTORY
 
 
 @pytest.mark.parametrize(
@@ -277,7 +145,8 @@ def test_the_card_names_what_the_networks_read(tmp_path: Path) -> None:
         (weights_io, "CONTEXT", (CONTEXT[1], CONTEXT[0], *CONTEXT[2:]), "context differ"),
         (sgn_module, "FEATURE_SCALE", (1.0,) * 7, "feature_scale differ"),
         (sgn_module, "CONTEXT_SCALE", (1.0,) * CONTEXT_SIZE, "context_scale differ"),
-        (edn_module, "HISTORY_SCALE", (1.0,) * 6, "history_scale differ"),
+        (weights_io, "HISTORY", HISTORY[::-1], "history differ"),
+        (edn_module, "MAX_SLOPE", 1.0, "kinematic_limits differ"),
         (edn_module, "GOAL_SCALE_M", 5.0, "goal_scale_m differ"),
     ],
 )
@@ -323,16 +192,9 @@ def test_a_card_is_rebuilt_from_an_old_one() -> None:
         "command": "x",
     }
     card = card_of(network(), EncoderDecoderNetwork(EdnSettings(width=8)), old)
-    assert (card["format"], card["seeds"], card["command"]) == (2, [1], "x")
-    assert card["sgn"] == {
-        "width": 16,
-        "components": 3,
-        "class_weight": 2.0,
-        "dropout": 0.1,
-        "race_dropout": 0.5,
-        "history_stride": 2,
-    }
-    assert card["edn"] == {"width": 8, "dropout": 0.0}
+    assert (card["format"], card["seeds"], card["command"]) == (3, [1], "x")
+    assert card["sgn"] == asdict(SgnSettings(width=16))
+    assert card["edn"] == asdict(EdnSettings(width=8))
     assert json.loads(json.dumps(card)) == card
 
 
@@ -366,7 +228,5 @@ def test_a_save_that_fails_leaves_what_was_there(
 
 def test_the_weights_that_ship_are_for_this_version() -> None:
     weights = load_weights(weights_dir() / "hatn.safetensors")
-    assert weights.sgn.settings == SgnSettings()
-    assert weights.edn.settings == EdnSettings()
     assert not set(weights.card["seeds"]) & set(weights.card["tune_seeds"])
     assert weights.card["command"].startswith("hatn-sim train ")

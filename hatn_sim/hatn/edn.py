@@ -1,27 +1,45 @@
 """The encoder-decoder network (the paper's section 5): how a vehicle drives to its goal.
 
-History and future are along the vehicle's own reference line, aligned to where it is now. The
-decoder is given the goal and the step; it emits the change of the last increment, bounded by what
-tyres can do, so that a prediction starts from the exact present motion (METHOD section 3).
+A GRU reads the history; a GRU stacked with three dense layers writes the future, a step of 0.1 s at
+a time. Everything the paper tried is a setting of this one network; `PAPER` is its best form. Ours
+emits bounded changes of acceleration and of curvature, which are integrated to positions, as METHOD
+section 3 has it under "Beyond the paper".
+
+The decoder is written out by hand, so that the parameters of any layer may be each vehicle's own
+(online adaptation): [B, out, in] in place of [out, in].
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import torch
 from torch import Tensor, nn
 
 from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
+from hatn_sim.hatn import edn_plain
+from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
+from hatn_sim.hatn.kinematics import Present, path_along, positions, present_motion
+from hatn_sim.hatn.travel import PROFILE_S
 
-HISTORY_FEATURES = 6  # s - s_t, d, v_s, v_d, phi, seen
-HISTORY_SCALE = (10.0, 1.0, 10.0, 1.0, 0.5, 1.0)
-GOAL_SCALE_M = 10.0
-INCREMENT_SCALE_M = 1.0
-MAX_ACCELERATION_MPS2 = 8.0
-MAX_LATERAL_MPS2 = 4.0
+Signal = Literal["none", "transform", "input", "output", "hidden"]
+"""How the decoder learns of the goal, or of the step it is at."""
+GOAL_SCALE_M: Final = 10.0
+PROFILE_STEPS: Final = len(PROFILE_S)
+"""A goal may be the distances after 0.5, 1 ... 3 s in place of the last of them."""
+MAX_JERK_MPS3: Final = 30.0
+ACCELERATION_MPS2: Final = (-9.0, 6.0)
+MAX_SWERVE_PER_M: Final = 0.03
+"""By how much one step may change the curvature against the path's."""
+MAX_SLOPE: Final = 0.5
+START_LIMITS: Final = (0.03, 3.0, 0.1, 0.05)
+"""How far the present increment (m), acceleration, course and curvature may be corrected."""
+BLEND_M: Final = 4.0
+BLEND_S: Final = 1.0
+"""The path is the line's after this and the way of this time, unless the network knows better."""
 
 
 @dataclass(frozen=True)
@@ -30,73 +48,391 @@ class EdnSettings:
 
     width: int = 64
     dropout: float = 0.0
+    decoder: Literal["kinematic", "plain"] = "kinematic"
+    goal: Signal = "input"
+    goal_steps: int = PROFILE_STEPS  # 1: the distance in 3 s; 6: a distance for each 0.5 s
+    clock: Signal = "input"
+    # Of the plain decoder:
+    coordinates: Literal["frenet", "cartesian"] = "frenet"
+    speed_in: bool = True
+    speed_out: bool = False
+    yaw_in: bool = True
+    yaw_out: bool = False
+    incremental: bool = True
+    aligned: bool = True
+    teacher_forcing: bool = False
+    attention: bool = False
+
+
+PAPER: Final = EdnSettings(decoder="plain", goal_steps=1)
+"""The paper's best: Frenet, speed and yaw read, incremental, aligned, goal and step as input."""
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleBatch:
+    """`inputs.VehicleInputs` as float32 tensors: what the network reads."""
+
+    history: Tensor  # [B, T, len(HISTORY)]
+    line: Tensor  # [B, P, 2]
+    at: Tensor  # [B, 5]
+
+
+Parameters = Mapping[str, Tensor]
+"""Parameters [B, ...] that each vehicle has for itself, by the names of those they replace."""
+SHARED: Final[Parameters] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """What every step of the decoder reads beside its own state."""
+
+    goal: Tensor  # [B, goal_steps] scaled
+    encoded: Tensor | None  # [B, T, width] for attention
+    own: Parameters
 
 
 class EncoderDecoderNetwork(nn.Module):
     """GRU encoder, GRU decoder with three dense layers."""
 
-    history_scale: Tensor
-
     def __init__(self, settings: EdnSettings) -> None:
         super().__init__()
-        width = settings.width
         self.settings = settings
-        self.register_buffer("history_scale", torch.tensor(HISTORY_SCALE), persistent=False)
-        self.encoder = nn.GRU(HISTORY_FEATURES, width, batch_first=True)
-        self.decoder = nn.GRUCell(5, width)
-        self.dense1 = nn.Linear(width, width)
+        width, kinematic = settings.width, settings.decoder == "kinematic"
+        size = _KINEMATIC_HISTORY if kinematic else edn_plain.history_size(settings)
+        self.encoder = nn.GRU(size, width, batch_first=True)
+        outputs = 2 if kinematic else edn_plain.output_size(settings)
+        size = _KINEMATIC_STATE if kinematic else outputs
+        size += _goal_input_size(settings) + (settings.clock in ("input", "transform"))
+        if settings.attention:
+            size += width
+            self.attend = nn.Linear(2 * width, width)
+            self.attend_score = nn.Linear(width, 1, bias=False)
+        self.decoder = nn.GRUCell(size, width)
+        appended = settings.goal_steps * (settings.goal == "output") + (settings.clock == "output")
+        self.dense1 = nn.Linear(width + appended, width)
         self.dense2 = nn.Linear(width, width)
-        self.dense3 = nn.Linear(width, 2)
+        self.dense3 = nn.Linear(width, outputs)
         self.dropout = nn.Dropout(settings.dropout)
+        if settings.goal == "hidden":
+            self.embed_goal = nn.Linear(settings.goal_steps, width)
+        if settings.clock == "hidden":
+            self.embed_clock = nn.Linear(1, width)
+        if kinematic:
+            self.start = nn.Linear(width, len(START_LIMITS) + 1)
+            nn.init.zeros_(self.start.weight)
+            nn.init.zeros_(self.start.bias)
 
-    def forward(self, history: Tensor, goal_m: Tensor) -> Tensor:
-        """Future (s - s_t, d - d_t) in metres [B, F, 2].
+    def forward(
+        self,
+        batch: VehicleBatch,
+        goal_m: Tensor,
+        steps: int = HORIZON_FRAMES,
+        own: Parameters = SHARED,
+    ) -> Tensor:
+        """Future positions [B, steps, 2] in metres, in the vehicles' frames of now.
 
-        `history` [B, T, HISTORY_FEATURES] unscaled, aligned to now; `goal_m` [B]: distance
-        travelled in three seconds.
+        `goal_m` [B, goal_steps]: distance travelled in three seconds, or after each half of one.
         """
-        _, h = self.encoder(history / self.history_scale)
-        hidden = h[0]
-        now = history[:, -1]
-        # The motion of now, from the last two frames: speed along and across the line.
-        increment = now[:, 2:4] * DT_S
-        position = torch.zeros_like(increment)
-        goal = (goal_m / GOAL_SCALE_M).unsqueeze(-1)
-        limit = increment.new_tensor([MAX_ACCELERATION_MPS2, MAX_LATERAL_MPS2]) * DT_S * DT_S
+        if self.settings.decoder == "kinematic":
+            return self._drive(batch, goal_m, steps, own)
+        native = self.native(batch, goal_m, steps, own)
+        return edn_plain.to_vehicle_frame(self.settings, batch.line, batch.at, native)
+
+    def _drive(self, batch: VehicleBatch, goal_m: Tensor, steps: int, own: Parameters) -> Tensor:
+        """Accelerations and curvatures, integrated."""
+        history = batch.history
+        now = present_motion(history)
+        hidden, memory = self._encode(_kinematic_history(history, now), goal_m, own)
+        limits = history.new_tensor(START_LIMITS)
+        correction = self.start(hidden)
+        increment, acceleration, course, curvature = (
+            torch.stack(
+                (
+                    now.increment_m,
+                    now.acceleration_mps2,
+                    now.course_rad,
+                    now.curvature_per_m,
+                ),
+                -1,
+            )
+            + limits * correction[:, :4].tanh()
+        ).unbind(-1)
+        increment = increment.clamp(min=0.0)
+        blend_m = (BLEND_M + BLEND_S / DT_S * now.increment_m) * correction[:, 4].clamp(-2, 2).exp()
+        wanted_m = _by_step(goal_m, steps)
+        progress = torch.zeros_like(increment)
+        offset, slope = torch.zeros_like(increment), torch.zeros_like(increment)
+        progress_m, offset_m = [], []
+        for step in range(steps):
+            ahead = wanted_m[:, min(step + 5, wanted_m.shape[1] - 1)] - progress
+            state = torch.stack(
+                (
+                    increment,
+                    acceleration / 4.0,
+                    offset,
+                    slope * 4.0,
+                    wanted_m[:, step] - progress,
+                    ahead / 4.0,
+                ),
+                -1,
+            )
+            left_m = (goal_m - progress.unsqueeze(-1)) / GOAL_SCALE_M
+            emitted, hidden = self._step(state, left_m, hidden, step, memory)
+            jerk, swerve = emitted.tanh().unbind(-1)
+            acceleration = (acceleration + MAX_JERK_MPS3 * DT_S * jerk).clamp(*ACCELERATION_MPS2)
+            faster = (increment + acceleration * DT_S * DT_S).clamp(min=0.0)
+            # Who has come to a halt brakes no more.
+            acceleration = torch.where(faster > 0.0, acceleration, acceleration.clamp(min=0.0))
+            increment = faster
+            slope = (slope + MAX_SWERVE_PER_M * swerve * increment).clamp(-MAX_SLOPE, MAX_SLOPE)
+            offset = offset + slope * increment
+            progress = progress + increment
+            progress_m.append(progress)
+            offset_m.append(offset)
+        path = path_along(batch.line, course, curvature, blend_m)
+        return positions(path, torch.stack(progress_m, 1), torch.stack(offset_m, 1))
+
+    def native(
+        self,
+        batch: VehicleBatch,
+        goal_m: Tensor,
+        steps: int = HORIZON_FRAMES,
+        own: Parameters = SHARED,
+        teacher: Tensor | None = None,
+    ) -> Tensor:
+        """What the plain decoder says [B, steps, O]: see `edn_plain.targets`.
+
+        `teacher` [B, steps, O]: the truth, to be read in place of what was said before.
+        """
+        settings = self.settings
+        said = edn_plain.history_outputs(settings, batch.history, batch.at)
+        read = edn_plain.history_inputs(settings, batch.history, batch.at, goal_m)
+        hidden, memory = self._encode(read, goal_m, own)
+        last = edn_plain.first_input(settings, said)
+        position = said[:, -1, :2]
         out = []
-        for step in range(HORIZON_FRAMES):
-            left = goal - position[:, :1] / GOAL_SCALE_M
-            clock = torch.full_like(goal, step / HORIZON_FRAMES)
-            read = torch.cat((increment / INCREMENT_SCALE_M, goal, left, clock), -1)
-            hidden = self.decoder(read, hidden)
-            deep = self.dropout(torch.tanh(self.dense1(hidden)))
-            deep = self.dropout(torch.tanh(self.dense2(deep)))
-            increment = increment + limit * torch.tanh(self.dense3(deep))
-            # Vehicles do not drive backwards on the road.
-            increment = torch.cat((increment[:, :1].clamp(min=0.0), increment[:, 1:]), -1)
-            position = position + increment
-            out.append(position)
+        for step in range(steps):
+            travelled = edn_plain.travelled(settings, position, said[:, -1, :2])
+            left_m = (goal_m - travelled) / GOAL_SCALE_M
+            emitted, hidden = self._step(
+                edn_plain.scaled(settings, last), left_m, hidden, step, memory
+            )
+            last = edn_plain.unscaled(settings, emitted)
+            position = position + last[:, :2] if settings.incremental else last[:, :2]
+            out.append(torch.cat((position, last[:, 2:]), -1))
+            if teacher is not None:
+                before = said[:, -1] if step == 0 else teacher[:, step - 1]
+                last = edn_plain.taught(settings, teacher[:, step], before)
         return torch.stack(out, 1)
 
+    def _encode(self, read: Tensor, goal_m: Tensor, own: Parameters) -> tuple[Tensor, _Memory]:
+        encoded, hidden = self._encoder(read, own)
+        goal = goal_m / GOAL_SCALE_M
+        if self.settings.goal == "hidden":
+            hidden = hidden + self.embed_goal(goal)
+        return hidden, _Memory(goal, encoded if self.settings.attention else None, own)
 
-def frozen(network: EncoderDecoderNetwork) -> Callable[[Tensor, Tensor], Tensor]:
+    def _encoder(self, read: Tensor, own: Parameters) -> tuple[Tensor, Tensor]:
+        """(every hidden state [B, T, width], the last [B, width])."""
+        names = ("weight_ih_l0", "weight_hh_l0", "bias_ih_l0", "bias_hh_l0")
+        if own.keys().isdisjoint(f"encoder.{name}" for name in names):
+            encoded, last = self.encoder(read)
+            return encoded, last[0]
+        parameters = [
+            own.get(f"encoder.{name}", getattr(self.encoder, name).detach()) for name in names
+        ]
+        hidden = read.new_zeros((len(read), self.settings.width))
+        encoded = []
+        for frame in range(read.shape[1]):
+            hidden = _gru(read[:, frame], hidden, *parameters)
+            encoded.append(hidden)
+        return torch.stack(encoded, 1), hidden
+
+    def _step(
+        self, state: Tensor, left_m: Tensor, hidden: Tensor, step: int, memory: _Memory
+    ) -> tuple[Tensor, Tensor]:
+        """One step of the decoder: (what it emits [B, O], its hidden state [B, width])."""
+        settings, own = self.settings, memory.own
+        clock = torch.full_like(state[:, :1], step / HORIZON_FRAMES)
+        read = [state]
+        if settings.goal == "input":
+            read += [memory.goal, left_m]
+        elif settings.goal == "transform":
+            read.append(left_m)
+        if settings.clock == "input":
+            read.append(clock)
+        elif settings.clock == "transform":
+            # Relative to the goal: the speed that would be needed to get there in time.
+            read.append(left_m[:, -1:] / (1.0 - clock))
+        if memory.encoded is not None:
+            read.append(self._attended(hidden, memory.encoded))
+        if settings.clock == "hidden":
+            hidden = hidden + self.embed_clock(clock)
+        hidden = self._decoder(torch.cat(read, -1), hidden, own)
+        deep = [hidden]
+        if settings.goal == "output":
+            deep.append(memory.goal)
+        if settings.clock == "output":
+            deep.append(clock)
+        out = self.dropout(torch.tanh(self._dense("dense1", torch.cat(deep, -1), own)))
+        out = self.dropout(torch.tanh(self._dense("dense2", out, own)))
+        return self._dense("dense3", out, own), hidden
+
+    def _attended(self, hidden: Tensor, encoded: Tensor) -> Tensor:
+        """Additive attention over the history (Bahdanau et al. 2015)."""
+        pair = torch.cat((encoded, hidden.unsqueeze(1).expand_as(encoded)), -1)
+        weight = self.attend_score(torch.tanh(self.attend(pair))).softmax(1)
+        return (weight * encoded).sum(1)
+
+    def _decoder(self, read: Tensor, hidden: Tensor, own: Parameters) -> Tensor:
+        names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+        if own.keys().isdisjoint(f"decoder.{name}" for name in names):
+            after: Tensor = self.decoder(read, hidden)
+            return after
+        return _gru(
+            read,
+            hidden,
+            *(own.get(f"decoder.{name}", getattr(self.decoder, name)) for name in names),
+        )
+
+    def _dense(self, name: str, x: Tensor, own: Parameters) -> Tensor:
+        layer: nn.Linear = getattr(self, name)
+        return _linear(
+            x, own.get(f"{name}.weight", layer.weight), own.get(f"{name}.bias", layer.bias)
+        )
+
+
+def _linear(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """A dense layer whose parameters are shared [out, in] or each row's own [B, out, in]."""
+    if weight.dim() == 2:
+        return nn.functional.linear(x, weight) + bias
+    return (weight @ x.unsqueeze(-1)).squeeze(-1) + bias
+
+
+def _gru(
+    x: Tensor,
+    hidden: Tensor,
+    weight_ih: Tensor,
+    weight_hh: Tensor,
+    bias_ih: Tensor,
+    bias_hh: Tensor,
+) -> Tensor:
+    """A step of a GRU (Cho et al. 2014, in the form of torch) with shared or own parameters."""
+    reset_x, update_x, new_x = _linear(x, weight_ih, bias_ih).chunk(3, -1)
+    reset_h, update_h, new_h = _linear(hidden, weight_hh, bias_hh).chunk(3, -1)
+    reset, update = (reset_x + reset_h).sigmoid(), (update_x + update_h).sigmoid()
+    new = (new_x + reset * new_h).tanh()
+    return new + update * (hidden - new)
+
+
+_KINEMATIC_HISTORY: Final = 13
+_KINEMATIC_STATE: Final = 6
+
+
+def _kinematic_history(history: Tensor, now: Present) -> Tensor:
+    """Motion along the line and in the vehicle's own frame, fine differences enlarged.
+
+    [B, T, _KINEMATIC_HISTORY]; the increments of the first frame repeat those of the second.
+    """
+    s, d, v_s, v_d, phi, seen, x, y, yaw, speed = history.unbind(-1)
+    dx, dy = x.diff(dim=1), y.diff(dim=1)
+    dx, dy = torch.cat((dx[:, :1], dx), 1), torch.cat((dy[:, :1], dy), 1)
+    length = (dx * dx + dy * dy + 1e-12).sqrt()
+    speed_now = speed[:, -1:]
+    acceleration = now.acceleration_mps2.unsqueeze(-1).expand_as(s)
+    columns = (
+        s / 10.0,
+        d,
+        v_s / 10.0,
+        v_d,
+        phi / 0.5,
+        seen,
+        (length - now.increment_m.unsqueeze(-1)) / 0.1,
+        dy / 0.1,
+        yaw / 0.2,
+        (speed - speed_now) / 2.0,
+        (length / DT_S - speed) / 0.5,
+        acceleration / 2.0,
+        now.curvature_per_m.unsqueeze(-1).expand_as(s) / 0.1,
+    )
+    return torch.stack(columns, -1)
+
+
+def _by_step(goal_m: Tensor, steps: int) -> Tensor:
+    """Distance wanted at every step [B, HORIZON_FRAMES or fewer]: straight between the goals."""
+    count = goal_m.shape[1]
+    knots = torch.cat((torch.zeros_like(goal_m[:, :1]), goal_m), 1)
+    every = HORIZON_FRAMES // count
+    part = torch.arange(1, every + 1, device=goal_m.device, dtype=goal_m.dtype) / every
+    between = knots[:, :-1, None] + (knots[:, 1:, None] - knots[:, :-1, None]) * part
+    return between.flatten(1)[:, : max(steps + 5, 1)]
+
+
+def _goal_input_size(settings: EdnSettings) -> int:
+    return {"input": 2, "transform": 1}.get(settings.goal, 0) * settings.goal_steps
+
+
+class _Program(nn.Module):
+    """A network as a function of tensors only, to be traced."""
+
+    def __init__(self, network: EncoderDecoderNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, history: Tensor, line: Tensor, at: Tensor, goal_m: Tensor) -> Tensor:
+        out: Tensor = self.network(VehicleBatch(history, line, at), goal_m)
+        return out
+
+
+class _OwnProgram(_Program):
+    """The same with a last layer for each vehicle."""
+
+    def forward(  # type: ignore[override]
+        self,
+        history: Tensor,
+        line: Tensor,
+        at: Tensor,
+        goal_m: Tensor,
+        weight: Tensor,
+        bias: Tensor,
+    ) -> Tensor:
+        own = {"dense3.weight": weight, "dense3.bias": bias}
+        out: Tensor = self.network(VehicleBatch(history, line, at), goal_m, own=own)
+        return out
+
+
+def frozen(network: EncoderDecoderNetwork, own_last_layer: bool = False) -> Callable[..., Tensor]:
     """The network for prediction only: the thirty steps as one program, in half the time.
 
-    Takes and gives what `EncoderDecoderNetwork.forward` does, for any number of vehicles, and the
-    same to the last bit.
+    Takes history, line, at and goal_m, and with `own_last_layer` a weight [B, O, width] and a bias
+    [B, O] for each vehicle; gives what `EncoderDecoderNetwork.forward` does.
     """
-    example = torch.zeros(2, HISTORY_FRAMES, HISTORY_FEATURES), torch.zeros(2)
-    with warnings.catch_warnings():
+    settings = network.settings
+    example = (
+        torch.randn(3, HISTORY_FRAMES, len(HISTORY)),
+        torch.randn(3, len(LINE_AT_M), 2).cumsum(1),
+        torch.randn(3, 5),
+        torch.rand(3, settings.goal_steps).cumsum(-1),
+    )
+    program = _Program(network)
+    if own_last_layer:
+        outputs = network.dense3.out_features
+        example += (torch.randn(3, outputs, settings.width), torch.randn(3, outputs))
+        program = _OwnProgram(network)
+    with warnings.catch_warnings(), torch.no_grad():
         # Deprecated in favour of a compiler that a user's machine may not have.
         warnings.simplefilter("ignore")
-        program: Callable[[Tensor, Tensor], Tensor] = torch.jit.freeze(
-            torch.jit.trace(network.eval(), example)
+        traced: Callable[..., Tensor] = torch.jit.freeze(
+            torch.jit.trace(program.eval(), example, check_trace=False)
         )
-    return program
+    return traced
 
 
-def edn_loss(predicted: Tensor, future: Tensor, mask: Tensor) -> Tensor:
-    """Mean l2 distance in metres over the frames `mask` [B, F] of futures [B, F, 2]."""
+def edn_loss(predicted: Tensor, future: Tensor, mask: Tensor, weight: Tensor) -> Tensor:
+    """Mean l2 distance in metres over the frames `mask` [B, F] of futures [B, F, ...].
+
+    `weight` [F] says how much a step counts.
+    """
     square = ((predicted - future) ** 2).sum(-1)
-    distance = (square + 1e-6).sqrt()
-    return (distance * mask).sum() / mask.sum().clamp(min=1.0)
+    weighted = mask * weight
+    return ((square + 1e-8).sqrt() * weighted).sum() / weighted.sum().clamp(min=1.0)

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from hatn_sim.datatypes import (
-    HORIZON_FRAMES,
     FloatArray,
     IntArray,
     Prediction,
@@ -18,22 +17,22 @@ from hatn_sim.datatypes import (
     SemanticGraphs,
 )
 from hatn_sim.graph import build_graphs
-from hatn_sim.hatn.edn import frozen
-from hatn_sim.hatn.inputs import vehicle_history
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, frozen
+from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
+from hatn_sim.hatn.modes import modes_of
 from hatn_sim.hatn.sgn import GraphBatch, Intention
 from hatn_sim.hatn.weights_io import Weights, load_weights
-from hatn_sim.perception import Perception, PerceptionState, begin, perceive
-from hatn_sim.predictors.constant_velocity import extrapolate
+from hatn_sim.perception import PerceptionState, begin, perceive
+from hatn_sim.predictors.free_motion import fallback_motion
 from hatn_sim.road import Road
 
 
 class Hatn:
     """Hierarchical Adaptable and Transferable Network (Wang et al., arXiv 2202.05140)."""
 
-    name = "hatn"
-
-    def __init__(self, weights: Weights | Path) -> None:
+    def __init__(self, weights: Weights | Path, name: str = "hatn") -> None:
         torch.set_num_threads(1)  # more threads are slower at this size
+        self.name = name
         self.weights = load_weights(weights) if isinstance(weights, Path) else weights
         self._drive = frozen(self.weights.edn)
 
@@ -53,26 +52,29 @@ class Hatn:
 
     def predict_graphs(self, state: PerceptionState, graphs: SemanticGraphs) -> Prediction:
         """The prediction for one moment that has been perceived already."""
-        road, seen = state.road, state.seen
+        seen = state.seen
         count = len(seen.scene.ids)
         components = self.weights.sgn.settings.components
         fallback = np.ones(count, dtype=np.bool_)
         fallback[graphs.ego] = False
-        xy = extrapolate(seen.scene)
+        physics = fallback_motion(seen.tracks)[:, None]
+        xy, chance = physics, np.ones((count, 1))
         weight = np.full((count, components), 1.0 / components)
         mean = np.repeat(3.0 * seen.scene.speed_mps[:, None], components, axis=1)
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
             intention = self.intend(graphs)
-            future = self.decode(seen, graphs.ego, intention.goal_m()[:, 0])
-            xy[graphs.ego] = _to_map(road, seen, graphs, future)
+            future, probability = self.drive(state, graphs.ego, intention)
+            xy = physics.repeat(future.shape[1], axis=1)
+            chance = np.eye(1, future.shape[1]).repeat(count, axis=0)
+            xy[graphs.ego], chance[graphs.ego] = future, probability
             slots = intention.slot_logit.double().softmax(-1).numpy()
             weight[graphs.ego], mean[graphs.ego], std[graphs.ego] = _ego_goals(intention)
         return Prediction(
             ids=seen.scene.ids,
-            xy_m=xy[:, None],
-            mode_probability=np.ones((count, 1)),
+            xy_m=xy,
+            mode_probability=chance,
             fallback=fallback,
             adapted=np.zeros(count, dtype=np.bool_),
             lines=seen.lines,
@@ -90,11 +92,30 @@ class Hatn:
         return intention
 
     @torch.inference_mode()
-    def decode(self, seen: Perception, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
-        """What the EDN makes of goals [B]: the future (s - s_t, d - d_t) [B, F, 2] of vehicles."""
-        history = torch.from_numpy(vehicle_history(seen, vehicle))
-        future: FloatArray = self._drive(history, goal_m).double().numpy()
-        return future
+    def drive(
+        self, state: PerceptionState, vehicle: IntArray, intention: Intention
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the EDN makes of the intention of vehicles [E]: positions [E, K, F, 2] in the map,
+        and the probability [E, K] of each mode; where that is 0, the first mode stands again.
+        """
+        modes = modes_of(intention)
+        probability = modes.probability.double().numpy()
+        row, mode = np.nonzero(probability > 0.0)
+        inputs = vehicle_inputs(state.road, state.seen, vehicle)
+        read = (torch.from_numpy(part[row]) for part in (inputs.history, inputs.line, inputs.at))
+        goal_m = told_goal_m(self.weights.edn, modes.profile_m[row, mode])
+        own = self._drive(*read, goal_m).double().numpy()
+        first = own[np.searchsorted(row, np.arange(len(vehicle)))]
+        future = first[:, None].repeat(probability.shape[1], axis=1)
+        future[row, mode] = own
+        scene = state.seen.scene
+        xy = to_map_frame(future, scene.xy_m[vehicle], scene.yaw_rad[vehicle])
+        return xy, probability
+
+
+def told_goal_m(network: EncoderDecoderNetwork, profile_m: Tensor) -> Tensor:
+    """What the EDN is told [B, G] of profiles [B, P]: all of them, or their ends."""
+    return profile_m[:, -network.settings.goal_steps :]
 
 
 def graph_batch(graphs: SemanticGraphs) -> GraphBatch:
@@ -106,16 +127,6 @@ def graph_batch(graphs: SemanticGraphs) -> GraphBatch:
         focus_mask=torch.from_numpy(graphs.focus_mask),
         history_mask=torch.from_numpy(graphs.history_mask),
     )
-
-
-def _to_map(road: Road, seen: Perception, graphs: SemanticGraphs, future: FloatArray) -> FloatArray:
-    """Positions [E, F, 2] of (s - s_t, d - d_t) [E, F, 2]; shifted so that now is exactly now."""
-    line = seen.lines.line[graphs.ego]
-    s, d = seen.lines.s_m[graphs.ego], seen.lines.d_m[graphs.ego]
-    now = road.locate(line, s, d)
-    at = road.locate(line, s[:, None] + future[..., 0], d[:, None] + future[..., 1])
-    shift = seen.scene.xy_m[graphs.ego] - now
-    return at + shift[:, None].repeat(HORIZON_FRAMES, axis=1)
 
 
 def _ego_goals(intention: Intention) -> tuple[FloatArray, FloatArray, FloatArray]:

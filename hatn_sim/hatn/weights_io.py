@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import torch
 from safetensors import SafetensorError
@@ -23,11 +23,14 @@ from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
 from hatn_sim.errors import InputError
 from hatn_sim.graph import CONTEXT
 from hatn_sim.hatn import edn as edn_module
+from hatn_sim.hatn import edn_plain, kinematics
 from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
-from hatn_sim.hatn.sgn import SemanticGraphNetwork, SgnSettings
+from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
+from hatn_sim.hatn.sgn import SemanticGraphNetwork
+from hatn_sim.hatn.sgn_settings import SgnSettings
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "width": (1, 4096),
     "components": (1, 64),
@@ -35,8 +38,14 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "dropout": (0.0, 1.0),
     "race_dropout": (0.0, 1.0),
     "history_stride": (1, HISTORY_FRAMES),
+    "goal_steps": (1, edn_module.PROFILE_STEPS),
+    "graph_layers": (1, 8),
+    "heads": (1, 16),
+    "ego_weight": (0.0, 1e6),
+    "goal_l1_weight": (0.0, 1e6),
+    "label_smoothing": (0.0, 1.0),
 }
-"""What each setting may be, both ends included."""
+"""What each setting that is a number may be, both ends included."""
 AGAIN: Final = "train again with `hatn-sim train`"
 
 Settings = TypeVar("Settings", SgnSettings, EdnSettings)
@@ -58,12 +67,27 @@ def features() -> dict[str, Any]:
         "context": list(CONTEXT),
         "feature_scale": list(sgn_module.FEATURE_SCALE),
         "context_scale": list(sgn_module.CONTEXT_SCALE),
-        "history_scale": list(edn_module.HISTORY_SCALE),
+        "history": list(HISTORY),
+        "line_at_m": LINE_AT_M.tolist(),
         "goal_scale_m": [sgn_module.GOAL_SCALE_M, edn_module.GOAL_SCALE_M],
         "queued_penalty": sgn_module.QUEUED_PENALTY,
         "race_per_s": sgn_module.RACE_PER_S,
-        "increment_scale_m": edn_module.INCREMENT_SCALE_M,
-        "max_acceleration_mps2": [edn_module.MAX_ACCELERATION_MPS2, edn_module.MAX_LATERAL_MPS2],
+        "plain_scales": [
+            edn_plain.ALIGNED_SCALE_M,
+            edn_plain.MAP_SCALE_M,
+            edn_plain.SPEED_SCALE_MPS,
+        ],
+        "kinematic_limits": [
+            edn_module.MAX_JERK_MPS3,
+            *edn_module.ACCELERATION_MPS2,
+            edn_module.MAX_SWERVE_PER_M,
+            edn_module.MAX_SLOPE,
+            *edn_module.START_LIMITS,
+            edn_module.BLEND_M,
+            edn_module.BLEND_S,
+            kinematics.MAX_CURVATURE_PER_M,
+            kinematics.SLOW_M,
+        ],
         "frames": [HISTORY_FRAMES, HORIZON_FRAMES],
         "dt_s": DT_S,
     }
@@ -173,17 +197,28 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
             f"weights card {path}: {network}: expected the settings {', '.join(names)}, "
             f"found {given or 'none'}; {AGAIN}"
         )
+    wanted = get_type_hints(kind)
     for name in names:
-        value, (low, high) = found[name], RANGES[name]
-        types = int if isinstance(low, int) else (int, float)
-        right = isinstance(value, types) and not isinstance(value, bool)
-        if not (right and low <= value <= high):
+        expected = _unfit(found[name], wanted[name], RANGES.get(name))
+        if expected:
             raise InputError(
-                f"weights card {path}: {network}.{name}: expected "
-                f"{'a whole number' if types is int else 'a number'} from {low:g} to {high:g}, "
-                f"found {value!r}; {AGAIN}"
+                f"weights card {path}: {network}.{name}: expected {expected}, "
+                f"found {found[name]!r}; {AGAIN}"
             )
     return kind(**found)
+
+
+def _unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
+    """What was expected in place of a setting's value; "" where it is fit."""
+    if get_origin(wanted) is Literal:
+        return "" if value in get_args(wanted) else "one of " + ", ".join(get_args(wanted))
+    if wanted is bool or span is None:
+        return "" if isinstance(value, bool) else "true or false"
+    low, high = span
+    types = int if wanted is int else (int, float)
+    if isinstance(value, types) and not isinstance(value, bool) and low <= value <= high:
+        return ""
+    return f"{'a whole number' if wanted is int else 'a number'} from {low:g} to {high:g}"
 
 
 def _check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:

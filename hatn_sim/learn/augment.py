@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 from hatn_sim.graph import AHEAD_AT_M, CONTEXT
+from hatn_sim.hatn.edn import VehicleBatch
+from hatn_sim.hatn.inputs import HISTORY
 from hatn_sim.hatn.sgn import GraphBatch
 from hatn_sim.speed_profile import (
     ACCELERATION_MPS2,
@@ -30,9 +32,17 @@ LIMIT_RANGE: Final = (0.8, 2.0)
 SHARE: Final = 0.5
 """Of the samples are changed, by scale and by limit each."""
 
+POSITION_STD_M: Final = 0.3
+SPEED_STD_MPS: Final = 0.1
+ANGLE_STD_RAD: Final = 0.03
+LATERAL_STD_M: Final = 0.5
+ACCELERATION_STD_MPS2: Final = 0.3
+"""Of what people do and cameras see, beside what a simulator does."""
+
 _POINTS: Final = len(AHEAD_AT_M)
 _LENGTHS: Final = (0, 3, 6)  # of x: d_f, d_r, l
 _SPEEDS: Final = (1, 4)  # of x: v_f, v_r
+_ANGLES: Final = (2, 5)  # of x: phi_f, phi_r
 
 
 def _entry(start: str) -> int:
@@ -47,6 +57,18 @@ _GROWING: Final = (
     _entry("distance_m"),
     _entry("speed_mps of the leader"),
 )
+_HISTORY_LENGTHS: Final = tuple(
+    index
+    for index, name in enumerate(HISTORY)
+    if name.startswith(("s_m", "d_m", "speed", "x_", "y_m"))
+)
+_HISTORY_SIDES: Final = tuple(
+    index
+    for index, name in enumerate(HISTORY)
+    if name.startswith(("d_m", "speed_mps across", "phi", "y_m", "yaw"))
+)
+_LATERAL: Final = _entry("lateral_m")
+_ACCELERATION: Final = _entry("acceleration")
 _CURVATURE: Final = slice(_POINTS, 2 * _POINTS)
 
 
@@ -102,13 +124,46 @@ def free_travel_m(limit_mps: Tensor, curvature_per_m: Tensor, speed_mps: Tensor)
     return s
 
 
-def scale_history(history: Tensor, scale: Tensor) -> Tensor:
-    """Encoder input [B, T, 6] at another scale: s, v_s and v_d grow, d and phi stay."""
-    out = history.clone()
-    out[..., (0, 2, 3)] = out[..., (0, 2, 3)] * scale[:, None, None]
-    return out
+def mirror_graphs(batch: GraphBatch, mirrored: Tensor) -> GraphBatch:
+    """Left for right where `mirrored` [E]."""
+    x, context = batch.x.clone(), batch.context.clone()
+    sign = 1.0 - 2.0 * mirrored.to(x.dtype)
+    x[..., _ANGLES] = x[..., _ANGLES] * sign[:, None, None, None]
+    context[..., _CURVATURE] = context[..., _CURVATURE] * sign[:, None, None]
+    context[..., _LATERAL] = context[..., _LATERAL] * sign[:, None]
+    return replace(batch, x=x, context=context)
 
 
-def scale_future(future: Tensor, scale: Tensor) -> Tensor:
-    """Futures [B, F, 2] at another scale: s grows, d stays."""
-    return torch.stack((future[..., 0] * scale[:, None], future[..., 1]), -1)
+def disturb_graphs(batch: GraphBatch) -> GraphBatch:
+    """The same traffic as a worse observer sees it, or less perfect drivers drive it."""
+    x, context = batch.x.clone(), batch.context.clone()
+    egos, nodes, frames, _ = x.shape
+    x[..., _LENGTHS[:2]] += POSITION_STD_M * torch.randn(egos, nodes, 1, 2)
+    x[..., _LENGTHS[2]] = x[..., _LENGTHS[1]] - x[..., _LENGTHS[0]]
+    x[..., _SPEEDS] += SPEED_STD_MPS * torch.randn(egos, nodes, frames, 2)
+    x[..., _ANGLES] += ANGLE_STD_RAD * torch.randn(egos, nodes, frames, 2)
+    context[..., _LATERAL] += LATERAL_STD_M * torch.randn(egos, nodes)
+    context[..., _ACCELERATION] += ACCELERATION_STD_MPS2 * torch.randn(egos, nodes)
+    return replace(batch, x=x, context=context)
+
+
+def scale_vehicles(
+    batch: VehicleBatch, future_xy: Tensor, goal_m: Tensor, scale: Tensor
+) -> tuple[VehicleBatch, Tensor, Tensor]:
+    """Vehicles [B], their futures [B, F, 2] and goals [B, G] at a scale [B] of their own."""
+    by = scale[:, None, None]
+    history = batch.history.clone()
+    history[..., _HISTORY_LENGTHS] = history[..., _HISTORY_LENGTHS] * by
+    batch = replace(batch, history=history, line=batch.line * by)
+    return batch, future_xy * by, goal_m * scale[:, None]
+
+
+def mirror_vehicles(
+    batch: VehicleBatch, future_xy: Tensor, mirrored: Tensor
+) -> tuple[VehicleBatch, Tensor]:
+    """Those of the vehicles [B] that `mirrored` [B] names with left and right exchanged."""
+    sign = torch.where(mirrored, -1.0, 1.0)
+    history = batch.history.clone()
+    history[..., _HISTORY_SIDES] = history[..., _HISTORY_SIDES] * sign[:, None, None]
+    flip = torch.stack((torch.ones_like(sign), sign), -1)[:, None]
+    return replace(batch, history=history, line=batch.line * flip), future_xy * flip

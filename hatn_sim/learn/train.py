@@ -17,19 +17,15 @@ import torch
 from torch import Tensor, nn
 
 import hatn_sim
-from hatn_sim.datatypes import Frame
+from hatn_sim.datatypes import Frame, IntArray
 from hatn_sim.errors import HatnSimError, InputError
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork, edn_loss
-from hatn_sim.hatn.sgn import GraphBatch, SemanticGraphNetwork, SgnSettings, sgn_loss
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.sgn_settings import best_sgn
 from hatn_sim.hatn.weights_io import make_folder, save_weights
-from hatn_sim.learn.augment import (
-    change_limits,
-    random_scale,
-    scale_future,
-    scale_graphs,
-    scale_history,
-)
+from hatn_sim.learn import edn_training
+from hatn_sim.learn.batches import batches
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
+from hatn_sim.learn.sgn_training import predicted_profiles, train_sgn
 from hatn_sim.loop import warm_up
 
 WEIGHT_DECAY = 0.01
@@ -114,8 +110,18 @@ def train(plan: TrainingPlan, out: Path, command: str, say: Say) -> dict[str, An
     tune = collect(_runs(plan, plan.tune_seeds), plan.workers, say)
     _check_samples("--seeds", learn, plan.duration_s)
     _check_samples("--tune", tune, plan.duration_s)
-    sgn, sgn_figures = train_sgn(learn, tune, plan, say)
-    goals, tune_goals = predicted_goals(sgn, learn), predicted_goals(sgn, tune)
+
+    def fit_sgn(
+        model: nn.Module,
+        learn: Samples,
+        loss_of: Callable[[Samples, IntArray], Tensor],
+        figures: Callable[[], dict[str, float]],
+        judged_by: str,
+    ) -> dict[str, float]:
+        return _fit(model, learn, loss_of, figures, judged_by, plan.sgn_epochs, plan, "SGN", say)
+
+    sgn, sgn_figures = train_sgn(learn, tune, best_sgn(), fit_sgn)
+    goals, tune_goals = predicted_profiles(sgn, learn), predicted_profiles(sgn, tune)
     edn, edn_figures = train_edn(learn, tune, goals, tune_goals, plan, say)
     card = {
         "made_by": f"hatn-sim {hatn_sim.__version__}",
@@ -173,62 +179,6 @@ def _runs(plan: TrainingPlan, seeds: Sequence[int]) -> list[RunOfTraffic]:
     ]
 
 
-def train_sgn(
-    learn: Samples, tune: Samples, plan: TrainingPlan, say: Say
-) -> tuple[SemanticGraphNetwork, dict[str, float]]:
-    """The semantic graph network, alone."""
-    model = SemanticGraphNetwork(SgnSettings())
-
-    def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
-        scale = random_scale(len(rows))
-        batch = scale_graphs(change_limits(graph_batch(samples, rows)), scale)
-        regression, classes = sgn_loss(
-            model(batch),
-            batch,
-            torch.from_numpy(samples.goal_m[rows]) * scale[:, None],
-            torch.from_numpy(samples.goal_mask[rows]),
-            torch.from_numpy(samples.slot[rows]),
-            model.settings.class_weight,
-        )
-        return regression + classes
-
-    def figures() -> dict[str, float]:
-        return sgn_figures(model, tune)
-
-    best = _fit(model, learn, loss_of, figures, "goal_error_m", plan.sgn_epochs, plan, "SGN", say)
-    return model, best
-
-
-def sgn_figures(model: SemanticGraphNetwork, samples: Samples) -> dict[str, float]:
-    """Goal error of the ego in metres and slot accuracy on samples."""
-    errors, right, several = [], 0, 0
-    for rows in _batches(len(samples), 2048):
-        batch = graph_batch(samples, rows)
-        with torch.no_grad():
-            intention = model(batch)
-        known = samples.goal_mask[rows, 0]
-        errors.append(np.abs(intention.goal_m()[:, 0].numpy() - samples.goal_m[rows, 0])[known])
-        slot = samples.slot[rows]
-        counts = (slot >= 0) & (samples.focus_mask[rows].sum(axis=1) > 1)
-        chosen = intention.slot_logit.argmax(-1).numpy()
-        right += int((chosen == slot)[counts].sum())
-        several += int(counts.sum())
-    return {
-        "goal_error_m": float(np.concatenate(errors).mean()),
-        "slot_accuracy": right / max(several, 1),
-    }
-
-
-def predicted_goals(model: SemanticGraphNetwork, samples: Samples) -> np.ndarray:
-    """The goal [S] of every ego by the trained SGN: what the EDN is trained on."""
-    model.eval()
-    goals = []
-    for rows in _batches(len(samples), 2048):
-        with torch.no_grad():
-            goals.append(model(graph_batch(samples, rows)).goal_m()[:, 0].numpy())
-    return np.concatenate(goals)
-
-
 def train_edn(
     learn: Samples,
     tune: Samples,
@@ -237,32 +187,14 @@ def train_edn(
     plan: TrainingPlan,
     say: Say,
 ) -> tuple[EncoderDecoderNetwork, dict[str, float]]:
-    """The encoder-decoder network, on the goals that the SGN predicts."""
-    model = EncoderDecoderNetwork(EdnSettings())
-    # Early frames are small in metres but they are what adaptation and safety look at.
-    by_step = torch.from_numpy(
-        np.where(np.arange(learn.future.shape[1]) < 5, 3.0, 1.0).astype(np.float32)
-    )
+    """The encoder-decoder network, on the goals [S, G] that the SGN predicts."""
+    model = EncoderDecoderNetwork(EdnSettings(goal_steps=goals.shape[1]))
 
     def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
-        scale = random_scale(len(rows))
-        history = scale_history(torch.from_numpy(samples.history[rows]), scale)
-        future = scale_future(torch.from_numpy(samples.future[rows]), scale)
-        predicted = model(history, torch.from_numpy(goals[rows]) * scale)
-        mask = torch.from_numpy(samples.future_mask[rows]).float() * by_step
-        return edn_loss(predicted, future, mask)
+        return edn_training.training_loss(model, samples, goals, rows)
 
     def figures() -> dict[str, float]:
-        errors = []
-        for rows in _batches(len(tune), 2048):
-            with torch.no_grad():
-                out = model(
-                    torch.from_numpy(tune.history[rows]), torch.from_numpy(tune_goals[rows])
-                )
-            distance = np.linalg.norm(out.numpy() - tune.future[rows], axis=-1)
-            errors.append(distance[tune.future_mask[rows].all(axis=1)])
-        distance = np.concatenate(errors)
-        return {"ade_3s_m": float(distance.mean()), "ade_0s3_m": float(distance[:, :3].mean())}
+        return edn_training.figures(model, tune, tune_goals)
 
     best = _fit(model, learn, loss_of, figures, "ade_3s_m", plan.edn_epochs, plan, "EDN", say)
     return model, best
@@ -292,7 +224,7 @@ def _fit(
     for epoch in range(1, epochs + 1):
         model.train()
         total = 0.0
-        for rows in _batches(len(learn), plan.batch, random):
+        for rows in batches(len(learn), plan.batch, random):
             loss = loss_of(learn, rows)
             if not bool(torch.isfinite(loss)):
                 model.load_state_dict(best_state)
@@ -317,22 +249,3 @@ def _fit(
     model.load_state_dict(best_state)
     model.eval()
     return best
-
-
-def graph_batch(samples: Samples, rows: np.ndarray) -> GraphBatch:
-    """Rows of the samples as tensors."""
-    return GraphBatch(
-        x=torch.from_numpy(samples.x[rows]),
-        context=torch.from_numpy(samples.context[rows]),
-        node_mask=torch.from_numpy(samples.node_mask[rows]),
-        focus_mask=torch.from_numpy(samples.focus_mask[rows]),
-        history_mask=torch.from_numpy(samples.history_mask[rows]),
-    )
-
-
-def _batches(
-    count: int, size: int, random: np.random.Generator | None = None
-) -> Iterator[np.ndarray]:
-    order = np.arange(count) if random is None else random.permutation(count)
-    for start in range(0, count, size):
-        yield order[start : start + size]

@@ -1,0 +1,100 @@
+"""What the encoder-decoder network learns from samples, and how it is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hatn_sim.datatypes import HORIZON_FRAMES
+from hatn_sim.hatn import edn_plain
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch, edn_loss
+from hatn_sim.hatn.inputs import Float32Array
+from hatn_sim.learn.augment import mirror_vehicles, random_scale, scale_vehicles
+from hatn_sim.learn.dataset import Samples
+
+EARLY_WEIGHT: Final = 20.0
+EARLY_FRAMES: Final = 3.0
+"""Errors of the first frames are centimetres; adaptation and safety look at them."""
+BY_STEP: Final = torch.from_numpy(
+    (1.0 + EARLY_WEIGHT * np.exp(-np.arange(HORIZON_FRAMES) / EARLY_FRAMES)).astype(np.float32)
+)
+MIRRORED: Final = 0.5
+"""Share of samples seen in a mirror."""
+
+
+def vehicle_batch(samples: Samples, rows: np.ndarray) -> VehicleBatch:
+    """Rows of the samples as tensors."""
+    return VehicleBatch(
+        history=torch.from_numpy(samples.history[rows]),
+        line=torch.from_numpy(samples.line[rows]),
+        at=torch.from_numpy(samples.at[rows]),
+    )
+
+
+def goals_of(model: EncoderDecoderNetwork, profile_m: Float32Array) -> Float32Array:
+    """Profiles [S, 6] in the form that the model takes: whole, or their last distance alone."""
+    return profile_m[:, -model.settings.goal_steps :]
+
+
+def training_loss(
+    model: EncoderDecoderNetwork, samples: Samples, goals_m: Float32Array, rows: np.ndarray
+) -> Tensor:
+    """The loss on rows of samples; `goals_m` [S, goal_steps] is what the decoder is told."""
+    batch = vehicle_batch(samples, rows)
+    goal_m = torch.from_numpy(goals_m[rows])
+    mask = torch.from_numpy(samples.future_mask[rows] & samples.on_line[rows, None]).float()
+    settings = model.settings
+    if settings.decoder == "kinematic":
+        future = torch.from_numpy(samples.future_xy[rows])
+        scale = random_scale(len(rows))
+        mirrored = torch.rand(len(rows)) < MIRRORED
+        batch, future, goal_m = scale_vehicles(batch, future, goal_m, scale)
+        batch, future = mirror_vehicles(batch, future, mirrored)
+        return edn_loss(model(batch, goal_m), future, mask, BY_STEP)
+    truth = edn_plain.targets(
+        settings,
+        batch.at,
+        *(
+            torch.from_numpy(values[rows])
+            for values in (samples.future, samples.future_xy, samples.future_motion)
+        ),
+    )
+    teacher = truth if settings.teacher_forcing and model.training else None
+    said = model.native(batch, goal_m, teacher=teacher)
+    return edn_loss(said, truth, mask, torch.ones(HORIZON_FRAMES))
+
+
+@torch.no_grad()
+def displacements_m(
+    model: EncoderDecoderNetwork, samples: Samples, goals_m: Float32Array
+) -> Float32Array:
+    """Displacement [R, F] in the map at every step, of the rows whose future is wholly known."""
+    model.eval()
+    errors = [np.zeros((0, HORIZON_FRAMES), np.float32)]
+    for rows in np.array_split(np.arange(len(samples)), len(samples) // 2048 + 1):
+        known = rows[samples.future_mask[rows].all(axis=1)]
+        if len(known):
+            out = model(vehicle_batch(samples, known), torch.from_numpy(goals_m[known]))
+            errors.append(np.linalg.norm(out.numpy() - samples.future_xy[known], axis=-1))
+    return np.concatenate(errors)
+
+
+def figures(
+    model: EncoderDecoderNetwork, samples: Samples, goals_m: Float32Array
+) -> dict[str, float]:
+    """ADE over 3 s and over 0.3 s in metres."""
+    distance = displacements_m(model, samples, goals_m)
+    return {"ade_3s_m": float(distance.mean()), "ade_0s3_m": float(distance[:, :3].mean())}
+
+
+def batches(
+    count: int, size: int, random: np.random.Generator | None = None
+) -> Iterator[np.ndarray]:
+    """Row numbers in batches, shuffled where a generator is given."""
+    order = np.arange(count) if random is None else random.permutation(count)
+    for start in range(0, count, size):
+        yield order[start : start + size]

@@ -1,0 +1,310 @@
+"""The encoder-decoder network: motion by closed forms, every switch, parameters of one's own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from hatn_sim.hatn import edn_plain
+from hatn_sim.hatn.edn import (
+    PAPER,
+    EdnSettings,
+    EncoderDecoderNetwork,
+    Signal,
+    VehicleBatch,
+    edn_loss,
+    frozen,
+)
+from hatn_sim.hatn.inputs import LINE_AT_M, to_map_frame, to_vehicle_frame
+from hatn_sim.hatn.kinematics import path_along, positions, present_motion
+from hatn_sim.learn.augment import mirror_vehicles, scale_vehicles
+from hatn_sim.learn.dataset import project_on_polylines
+
+SETTINGS = (
+    EdnSettings(width=16),
+    replace(PAPER, width=16),
+    replace(PAPER, width=16, coordinates="cartesian", aligned=False, incremental=False),
+    replace(PAPER, width=16, speed_out=True, yaw_out=True, attention=True, goal="hidden"),
+)
+
+
+def on_a_circle(
+    radius_m: float, speed_mps: float, acceleration_mps2: float = 0.0
+) -> tuple[VehicleBatch, Tensor]:
+    """A vehicle on a circle to the left that is its line as well, and where it then is [1, F, 2].
+
+    Its heading is the direction of motion; speeds are those at the instant.
+    """
+    time_s = np.arange(-10, 31) * 0.1
+    way_m = speed_mps * time_s + 0.5 * acceleration_mps2 * time_s**2
+
+    def at(arc_m: np.ndarray) -> np.ndarray:
+        angle = arc_m / radius_m
+        return np.stack((radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle))), axis=-1)
+
+    xy, yaw = at(way_m), way_m / radius_m
+    speed = speed_mps + acceleration_mps2 * time_s
+    past = slice(0, 11)
+    still = np.zeros(11)
+    history = np.stack(
+        [
+            *(way_m[past], still, speed[past], still, still, still + 1.0),
+            *(xy[past, 0], xy[past, 1], yaw[past], speed[past]),
+        ],
+        axis=-1,
+    )
+    batch = VehicleBatch(
+        torch.from_numpy(history.astype(np.float32))[None],
+        torch.from_numpy(at(LINE_AT_M).astype(np.float32))[None],
+        torch.zeros(1, 5),
+    )
+    return batch, torch.from_numpy(xy[11:].astype(np.float32))[None]
+
+
+def random_batch(vehicles: int, seed: int = 0) -> VehicleBatch:
+    random = torch.Generator().manual_seed(seed)
+    history = 0.1 * torch.randn((vehicles, 11, 10), generator=random)
+    speed = 12.0 * torch.rand((vehicles, 1), generator=random)
+    way = speed * 0.1 * torch.arange(-10, 1)
+    history[..., 0], history[..., 6] = way, way
+    history[..., 2], history[..., 9] = speed, speed
+    history[..., 5] = 1.0
+    history[:, -1, 6:9] = 0.0
+    bend = 0.02 * torch.randn((vehicles, 1), generator=random)
+    at = torch.from_numpy(LINE_AT_M.astype(np.float32))
+    line = torch.stack((at.expand(vehicles, -1), bend * at**2 / 2.0), -1)
+    return VehicleBatch(history, line, 10.0 * torch.randn((vehicles, 5), generator=random))
+
+
+def silent(settings: EdnSettings) -> EncoderDecoderNetwork:
+    """A network that emits nothing: what is left is physics."""
+    model = EncoderDecoderNetwork(settings).eval()
+    torch.nn.init.zeros_(model.dense3.weight)
+    torch.nn.init.zeros_(model.dense3.bias)
+    return model
+
+
+def goals(settings: EdnSettings, vehicles: int, seed: int = 0) -> Tensor:
+    random = torch.Generator().manual_seed(seed)
+    return 5.0 * torch.rand((vehicles, settings.goal_steps), generator=random).cumsum(-1)
+
+
+@pytest.mark.parametrize("radius_m", [1e6, 30.0, 8.0])
+def test_a_silent_decoder_drives_on_in_a_circle(radius_m: float) -> None:
+    batch, future = on_a_circle(radius_m, 6.0)
+    with torch.no_grad():
+        found = silent(EdnSettings(width=8))(batch, torch.zeros(1, 6))
+    # Chords instead of arcs: 0.6 m a step.
+    allowed_m = 0.02 if radius_m > 20.0 else 0.06
+    assert float((found - future).norm(dim=-1).max()) < allowed_m
+    assert float((found - future)[0, :3].norm(dim=-1).max()) < 0.005
+
+
+def test_a_silent_decoder_keeps_the_acceleration() -> None:
+    """s(t) = v t + a t^2 / 2 from samples of positions and of instantaneous speeds."""
+    batch, future = on_a_circle(1e6, 5.0, 1.5)
+    with torch.no_grad():
+        found = silent(EdnSettings(width=8))(batch, torch.zeros(1, 6))
+    assert float((found - future).norm(dim=-1).max()) < 0.05
+    assert float((found - future)[0, :3].norm(dim=-1).max()) < 0.002
+
+
+def test_who_brakes_comes_to_a_halt_and_stays() -> None:
+    batch, _ = on_a_circle(1e6, 3.0, -2.0)
+    with torch.no_grad():
+        found = silent(EdnSettings(width=8))(batch, torch.zeros(1, 6))[0]
+    step_m = found.diff(dim=0).norm(dim=-1)
+    assert float(step_m[-10:].max()) == 0.0
+    assert float(found[-1, 0]) == pytest.approx(3.0**2 / (2.0 * 2.0), abs=0.1)
+
+
+def test_the_emitted_motion_is_bounded_whatever_the_network_says() -> None:
+    torch.manual_seed(0)
+    model = EncoderDecoderNetwork(EdnSettings(width=8)).eval()
+    torch.nn.init.normal_(model.dense3.weight, std=50.0)
+    batch = random_batch(200)
+    batch = replace(batch, line=batch.line * torch.tensor([1.0, 0.0]))
+    with torch.no_grad():
+        found = model(batch, goals(model.settings, 200))
+    now = present_motion(batch.history)
+    step_m = torch.cat((torch.zeros(200, 1, 2), found), 1).diff(dim=1).norm(dim=-1)
+    change = step_m.diff(dim=1) / 0.01
+    # Swerves lengthen a step besides.
+    assert float(change.max()) < 11.0 and float(change.min()) > -14.0
+    assert torch.isfinite(found).all() and (now.increment_m >= 0).all()
+
+
+def test_the_path_begins_as_now_and_ends_on_the_parallel() -> None:
+    """A vehicle that heads 0.2 rad off a straight line."""
+    line = torch.tensor(np.stack((LINE_AT_M, 0 * LINE_AT_M), -1), dtype=torch.float32)[None]
+    course, curvature, blend = torch.tensor([0.2]), torch.tensor([0.0]), torch.tensor([12.0])
+    path = path_along(line, course, curvature, blend)
+    at = torch.linspace(0.0, 40.0, 401)[None]
+    found = positions(path, at, torch.zeros_like(at))[0]
+    first = found[1] - found[0]
+    assert float(torch.atan2(first[1], first[0])) == pytest.approx(0.2, abs=1e-3)
+    assert float(found[at[0] > 12.0, 1].abs().max()) < 1e-4
+    turn = torch.atan2(*found.diff(dim=0).flip(-1).unbind(-1)).diff() / 0.1
+    assert float(turn.abs().max()) < 0.2, "no kink"
+    aside = positions(path, at, torch.full_like(at, 0.5))[0]
+    torch.testing.assert_close(aside[:, 1] - found[:, 1], torch.full((401,), 0.5))
+
+
+def test_a_vehicle_that_stands_looks_along_its_heading() -> None:
+    batch, _ = on_a_circle(1e6, 0.0)
+    now = present_motion(batch.history)
+    assert [float(v) for v in (now.increment_m, now.course_rad, now.curvature_per_m)] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("settings", SETTINGS)
+@pytest.mark.parametrize("vehicles", [1, 7])
+def test_the_frozen_decoder_is_the_decoder(settings: EdnSettings, vehicles: int) -> None:
+    torch.manual_seed(0)
+    model = EncoderDecoderNetwork(settings).eval()
+    batch, goal_m = random_batch(vehicles), goals(settings, vehicles)
+    with torch.inference_mode():
+        expected = model(batch, goal_m)
+        found = frozen(model)(batch.history, batch.line, batch.at, goal_m)
+        torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+        weight = model.dense3.weight.expand(vehicles, -1, -1).contiguous()
+        bias = model.dense3.bias.expand(vehicles, -1).contiguous()
+        program = frozen(model, own_last_layer=True)
+        found = program(batch.history, batch.line, batch.at, goal_m, weight, bias)
+        torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("settings", SETTINGS)
+@pytest.mark.parametrize(
+    "layer",
+    [
+        *("encoder.weight_ih_l0", "encoder.weight_hh_l0", "decoder.weight_ih", "decoder.weight_hh"),
+        *("dense1.weight", "dense2.weight", "dense3.weight", "dense3.bias"),
+    ],
+)
+def test_parameters_of_ones_own_change_oneself_only(settings: EdnSettings, layer: str) -> None:
+    torch.manual_seed(0)
+    model = EncoderDecoderNetwork(settings).eval()
+    batch, goal_m = random_batch(5), goals(settings, 5)
+    shared = dict(model.named_parameters())[layer].detach()
+    own = shared.expand(5, *shared.shape).clone()
+    with torch.no_grad():
+        expected = model(batch, goal_m)
+        torch.testing.assert_close(
+            model(batch, goal_m, own={layer: own}), expected, atol=2e-4, rtol=1e-4
+        )
+        own[2] += 0.3
+        apart = (model(batch, goal_m, own={layer: own}) - expected).norm(dim=-1).amax(-1)
+    assert float(apart[2]) > 1e-3
+    assert float(apart[[0, 1, 3, 4]].max()) < 1e-3
+
+
+SWITCHES = [
+    {"coordinates": coordinates, "goal": goal, "clock": clock, "aligned": aligned}
+    for coordinates in ("frenet", "cartesian")
+    for aligned in (False, True)
+    for goal, clock in [
+        *((goal, "none") for goal in get_args(Signal)),
+        *(("input", clock) for clock in get_args(Signal)),
+    ]
+]
+
+
+@pytest.mark.parametrize("switches", SWITCHES)
+def test_every_way_to_tell_the_goal_is_learnt_from(switches: dict[str, object]) -> None:
+    """A gradient reaches every parameter, and the goal matters if and only if it is told."""
+    torch.manual_seed(0)
+    settings = replace(PAPER, width=8, **switches)  # type: ignore[arg-type]
+    model = EncoderDecoderNetwork(settings)
+    batch, goal_m = random_batch(6), goals(settings, 6)
+    out = model(batch, goal_m)
+    out.square().mean().backward()
+    for name, parameter in model.named_parameters():
+        assert parameter.grad is not None and bool(parameter.grad.abs().sum() > 0), name
+    changed = not torch.allclose(out, model(batch, goal_m + 5.0))
+    assert changed == (settings.goal != "none" or settings.clock == "transform")
+
+
+@pytest.mark.parametrize("coordinates", ["frenet", "cartesian"])
+@pytest.mark.parametrize("aligned", [False, True])
+def test_the_truth_in_any_coordinates_is_the_truth_in_the_map(
+    coordinates: str, aligned: bool
+) -> None:
+    batch, future = on_a_circle(15.0, 6.0)
+    at = torch.tensor([[100.0, -50.0, 2.0, 33.0, 0.4]])
+    s, d, tangent = project_on_polylines(
+        batch.line.double().numpy(), LINE_AT_M, future.double().numpy()
+    )
+    frenet = torch.tensor(np.stack((s, d), -1), dtype=torch.float32)
+    motion = torch.tensor(np.stack((0 * s + 6.0, tangent, 0 * s), -1), dtype=torch.float32)
+    settings = replace(
+        PAPER, coordinates=coordinates, aligned=aligned, speed_out=True, yaw_out=True
+    )
+    truth = edn_plain.targets(settings, at, frenet, future, motion)
+    found = edn_plain.to_vehicle_frame(settings, batch.line, at, truth)
+    torch.testing.assert_close(found, future, atol=2e-4, rtol=0.0)
+    if coordinates == "cartesian":
+        assert truth[0, 0, -1] == pytest.approx(
+            2.0 + math.atan2(future[0, 0, 1], future[0, 0, 0]), abs=0.03
+        )
+
+
+def test_a_taught_decoder_reads_the_truth_of_the_step_before() -> None:
+    torch.manual_seed(0)
+    model = EncoderDecoderNetwork(replace(PAPER, width=8)).eval()
+    batch, goal_m = random_batch(3), goals(PAPER, 3)
+    truth = torch.randn(3, 30, 2).cumsum(1)
+    other = truth.clone()
+    other[:, 10] += 1.0
+    with torch.no_grad():
+        one, two = (model.native(batch, goal_m, teacher=t) for t in (truth, other))
+    increments = [torch.diff(said, dim=1) for said in (one, two)]
+    same = (increments[0] == increments[1]).all(-1).all(0)
+    assert same[:10].all() and not same[10]
+
+
+def test_the_path_loss_is_the_mean_distance() -> None:
+    predicted = torch.zeros(1, 3, 2)
+    future = torch.tensor([[[3.0, 4.0], [100.0, 0.0], [0.0, 2.0]]])
+    mask, weight = torch.tensor([[1.0, 0.0, 1.0]]), torch.tensor([1.0, 1.0, 3.0])
+    assert float(edn_loss(predicted, future, mask, weight)) == pytest.approx((5 + 6) / 4, rel=1e-5)
+
+
+def test_frames_of_vehicles_and_back() -> None:
+    random = np.random.default_rng(0)
+    xy, origin = random.normal(size=(4, 7, 2)) * 30, random.normal(size=(4, 2)) * 100
+    yaw = random.uniform(-3, 3, 4)
+    own = to_vehicle_frame(xy, origin, yaw)
+    np.testing.assert_allclose(to_map_frame(own, origin, yaw), xy, atol=1e-9)
+    ahead = origin + 5.0 * np.stack((np.cos(yaw), np.sin(yaw)), -1)
+    np.testing.assert_allclose(
+        to_vehicle_frame(ahead[:, None], origin, yaw)[:, 0], [[5.0, 0.0]] * 4, atol=1e-9
+    )
+
+
+def test_projection_on_a_bend_by_hand() -> None:
+    line = np.array([[[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]])
+    points = np.array([[[-2.0, 1.0], [4.0, 0.5], [9.5, 6.0], [11.0, 14.0]]])
+    s, d, yaw = project_on_polylines(line, np.array([0.0, 10.0, 20.0]), points)
+    np.testing.assert_allclose(s, [[-2.0, 4.0, 16.0, 24.0]])
+    np.testing.assert_allclose(d, [[1.0, 0.5, 0.5, -1.0]])
+    np.testing.assert_allclose(yaw, [[0.0, 0.0, np.pi / 2, np.pi / 2]])
+
+
+def test_a_larger_place_and_a_mirrored_one_are_driven_alike() -> None:
+    """A silent decoder knows nothing of scale and side: its answers scale and mirror."""
+    batch, future = on_a_circle(20.0, 6.0)
+    model, goal_m = silent(EdnSettings(width=8)), torch.zeros(1, 6)
+    double, _, told = scale_vehicles(batch, future, goal_m + 3.0, torch.tensor([2.0]))
+    assert told.tolist() == [[6.0] * 6]
+    mirrored, flipped = mirror_vehicles(batch, future, torch.tensor([True]))
+    with torch.no_grad():
+        found = model(batch, goal_m)
+        torch.testing.assert_close(model(mirrored, goal_m)[..., 1], -found[..., 1])
+        assert float((model(double, goal_m) - 2.0 * found).norm(dim=-1).max()) < 0.05
+    torch.testing.assert_close(flipped[..., 1], -future[..., 1])
