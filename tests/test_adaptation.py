@@ -214,7 +214,7 @@ def test_the_jacobian_is_that_of_finite_differences() -> None:
 def test_descent_steps_along_the_gradient() -> None:
     state = begin(torch.zeros(2), 1, OPEN)
     jacobian = torch.tensor([[[1.0, 2.0], [0.0, 3.0]]])
-    after = descend(state, torch.zeros(2), torch.tensor([[0.5, -1.0]]), jacobian, 0.1, 9.0)
+    after = descend(state, torch.zeros(2), torch.tensor([[0.5, -1.0]]), jacobian, 0.1, OPEN)
     torch.testing.assert_close(after.theta, torch.tensor([[0.05, -0.2]]))
 
 

@@ -15,7 +15,7 @@ vehicle, P parameters.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import torch
@@ -60,6 +60,14 @@ class FilterState:
     def rows(self, index: Tensor) -> FilterState:
         """The vehicles `index` [B'] alone."""
         return FilterState(self.theta[index], self.covariance[index], self.misses[index])
+
+    def put(self, index: Tensor, those: FilterState) -> FilterState:
+        """These vehicles, with `those` [B'] in the rows `index` [B']."""
+        return FilterState(
+            self.theta.index_copy(0, index, those.theta),
+            self.covariance.index_copy(0, index, those.covariance),
+            self.misses.index_copy(0, index, those.misses),
+        )
 
 
 def begin(prior: Tensor, count: int, settings: FilterSettings) -> FilterState:
@@ -153,13 +161,12 @@ def descend(
     innovation: Tensor,
     jacobian: Tensor,
     rate: float,
-    bound: float,
+    settings: FilterSettings,
 ) -> FilterState:
     """One step of stochastic gradient descent on |e|^2 / 2, for comparison: theta + rate H' e."""
     step = rate * (jacobian.mT @ innovation[..., None])[..., 0]
     step = torch.where(torch.isfinite(step), step, 0.0)
-    theta = _within(state.theta + step, prior, bound)
-    return FilterState(theta, state.covariance, state.misses)
+    return replace(state, theta=_within(state.theta + step, prior, settings.max_change))
 
 
 def gate_of(size: int, probability: float) -> float:

@@ -1,0 +1,224 @@
+"""Online adaptation of the EDN to every vehicle in view (the paper's section 6, METHOD section 4).
+
+At every frame each vehicle's last seconds are predicted again, with today's parameters, from what
+the network read `steps` frames ago and for the goal predicted then; what the prediction missed
+corrects the parameters of one layer, each vehicle's own.
+
+What is learnt from the last tenths of a second says much of the next ones and little of the time
+when the goal is reached. So the correction, the adapted prediction less the trained one, fades
+with the time ahead, and is never larger than an unforeseen acceleration could make it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, BoolArray, FloatArray, IntArray
+from hatn_sim.hatn.adaptation import (
+    FilterSettings,
+    FilterState,
+    begin,
+    descend,
+    linearise,
+    restart,
+    update,
+)
+from hatn_sim.hatn.adaptation_layer import Layer, positions_with, prior_of, sensitivity_m2
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch
+from hatn_sim.hatn.inputs import to_vehicle_frame
+from hatn_sim.tracks import rows_before
+
+Method = Literal["mekf", "rls", "sgd"]
+MAX_STEPS: Final = HISTORY_FRAMES - 1
+BAND_M: Final = 0.2
+BAND_MPS2: Final = 2.0
+"""A correction is at most BAND_M, and what this acceleration makes of the time ahead."""
+MAX_CHANGE_M: Final = 1.0
+"""Parameters move no further than what moves a steady vehicle by this."""
+
+
+@dataclass(frozen=True)
+class AdaptationSettings:
+    """How to adapt.
+
+    Standard deviations are of positions in metres, so that they hold for any layer and network.
+    """
+
+    method: Method = "mekf"
+    layer: Layer = "dense3"
+    steps: int = 3  # tau: how many frames of 0.1 s are looked back
+    start_std_m: float = 0.05  # how far the trained parameters may mispredict a steady vehicle
+    measurement_std_m: float = 0.01
+    forgetting: float = 0.98
+    relaxation: float = 0.2
+    process_share: float = 0.0  # the variance that parameters gain in a step, over the first one
+    rate: float = 0.1  # of `sgd`; 1 would take all of a steady vehicle's error away at once
+    fade_s: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Adapter:
+    """A network with what its adaptation starts from; made once for a run."""
+
+    network: EncoderDecoderNetwork
+    settings: AdaptationSettings
+    prior: Tensor  # [P]
+    filter: FilterSettings
+    rate: float  # of `sgd`, in parameters
+
+
+def adapter_of(network: EncoderDecoderNetwork, settings: AdaptationSettings) -> Adapter:
+    """Ready to adapt `network`, whose own parameters are frozen by this."""
+    network.requires_grad_(False)
+    sensitivity = sensitivity_m2(network, settings.layer, settings.steps)
+    variance = settings.start_std_m**2 / sensitivity
+    filter_settings = FilterSettings(
+        forgetting=settings.forgetting,
+        start_variance=variance,
+        process_variance=settings.process_share * variance,
+        measurement_variance_m2=settings.measurement_std_m**2,
+        relaxation=settings.relaxation,
+        max_change=MAX_CHANGE_M / sensitivity**0.5,
+    )
+    if settings.method == "rls":
+        filter_settings = replace(filter_settings, relaxation=0.0, process_variance=0.0, gate=1.0)
+    rate = settings.rate / (sensitivity * 2 * settings.steps)
+    return Adapter(network, settings, prior_of(network, settings.layer), filter_settings, rate)
+
+
+def learn(
+    adapter: Adapter, state: FilterState, batch: VehicleBatch, goal_m: Tensor, driven_m: Tensor
+) -> FilterState:
+    """One step of the filter for vehicles [B].
+
+    `batch` and `goal_m` [B, G] are what the network read `steps` frames ago, `driven_m`
+    [B, steps, 2] is where the vehicles then went, in their frames of that time.
+    """
+    settings, network = adapter.settings, adapter.network
+    predicted, jacobian = linearise(
+        lambda theta: positions_with(
+            network, settings.layer, theta, batch, goal_m, settings.steps
+        ).flatten(1),
+        state.theta,
+    )
+    innovation = driven_m.flatten(1) - predicted
+    if settings.method == "sgd":
+        return descend(state, adapter.prior, innovation, jacobian, adapter.rate, adapter.filter)
+    return update(state, adapter.prior, innovation, jacobian, adapter.filter)
+
+
+def corrected(adapter: Adapter, trained_m: Tensor, adapted_m: Tensor) -> Tensor:
+    """Trained positions [B, F, 2] with the fading correction towards the adapted ones."""
+    ahead_s = DT_S * torch.arange(1, trained_m.shape[1] + 1)
+    correction = (adapted_m - trained_m) * torch.exp(-ahead_s / adapter.settings.fade_s)[:, None]
+    band = (BAND_M + 0.5 * BAND_MPS2 * ahead_s**2)[:, None]
+    length = torch.linalg.vector_norm(correction, dim=-1, keepdim=True)
+    correction = torch.where(length <= band, correction, correction * (band / length))
+    return trained_m + torch.where(torch.isfinite(correction), correction, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What the EDN reads of the vehicles of a scene that are on a line, and where they are."""
+
+    ids: tuple[str, ...]  # [E]
+    line: IntArray  # [E] number of the reference line
+    whole: BoolArray  # [E] the whole history was seen
+    batch: VehicleBatch  # [E]
+    goal_m: Tensor  # [E, G]
+    xy_m: FloatArray  # [E, 2]
+    yaw_rad: FloatArray  # [E]
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptationState:
+    """The newest moment, what is believed of its vehicles, and their last `steps` inputs.
+
+    The inputs end with now; the first column is what is to be predicted again at the next frame.
+    """
+
+    moment: Moment
+    filter: FilterState  # [E]
+    frames: IntArray  # [E] how many of the inputs are the vehicle's, on its present line
+    batch: VehicleBatch  # [E, steps, ...]
+    goal_m: Tensor  # [E, steps, G]
+    pose: FloatArray  # [E, steps, 3] x_m, y_m, yaw_rad
+
+    def adapted(self, adapter: Adapter) -> BoolArray:
+        """Vehicles [E] whose parameters are others than the trained ones."""
+        changed: BoolArray = (self.filter.theta != adapter.prior).any(dim=1).numpy()
+        return changed
+
+
+def first(adapter: Adapter, moment: Moment) -> AdaptationState:
+    """Nothing has been learnt of the vehicles of `moment`."""
+    count, steps = len(moment.ids), adapter.settings.steps
+    return AdaptationState(
+        moment,
+        begin(adapter.prior, count, adapter.filter),
+        moment.whole.astype(np.int64),
+        VehicleBatch(*(_repeat(tensor, steps) for tensor in _tensors(moment.batch))),
+        _repeat(moment.goal_m, steps),
+        np.repeat(_pose(moment)[:, None], steps, axis=1),
+    )
+
+
+def follow(
+    adapter: Adapter, state: AdaptationState, moment: Moment, unadapted: frozenset[str]
+) -> AdaptationState:
+    """One frame on: learn from where the vehicles are now.
+
+    Vehicles that are new, change their line or were not seen for a frame begin anew; those of
+    `unadapted`, advised or driven by an agent, never learn: they would learn our own advice.
+    """
+    new = first(adapter, moment)
+    rows = rows_before(state.moment.ids, moment.ids)
+    source = np.maximum(rows, 0)
+    if not len(state.moment.ids) or not len(rows):
+        return new
+    kept = (rows >= 0) & (state.moment.line[source] == moment.line) & moment.whole
+    at, keep = torch.from_numpy(source), torch.from_numpy(kept)
+    frames = np.where(kept, state.frames[source], 0)
+    taught = frames >= adapter.settings.steps
+    taught &= ~np.array([name in unadapted for name in moment.ids], dtype=np.bool_)
+    filtered = restart(state.filter.rows(at), ~keep, adapter.prior, adapter.filter)
+    pose = np.concatenate((state.pose[source], new.pose[:, -1:]), axis=1)
+    if taught.any():
+        who = np.flatnonzero(taught)
+        past = VehicleBatch(*(tensor[at[who], 0] for tensor in _tensors(state.batch)))
+        driven = to_vehicle_frame(pose[who, 1:, :2], pose[who, 0, :2], pose[who, 0, 2])
+        driven_m = torch.from_numpy(driven.astype(np.float32))
+        learnt = learn(
+            adapter, filtered.rows(torch.from_numpy(who)), past, state.goal_m[at[who], 0], driven_m
+        )
+        filtered = filtered.put(torch.from_numpy(who), learnt)
+    return AdaptationState(
+        moment,
+        filtered,
+        np.minimum(frames + 1, adapter.settings.steps) * moment.whole,
+        VehicleBatch(
+            *(
+                torch.cat((old[at, 1:], tensor[:, -1:]), 1)
+                for old, tensor in zip(_tensors(state.batch), _tensors(new.batch), strict=True)
+            )
+        ),
+        torch.cat((state.goal_m[at, 1:], new.goal_m[:, -1:]), 1),
+        pose[:, 1:],
+    )
+
+
+def _tensors(batch: VehicleBatch) -> tuple[Tensor, Tensor, Tensor]:
+    return batch.history, batch.line, batch.at
+
+
+def _repeat(tensor: Tensor, steps: int) -> Tensor:
+    return tensor[:, None].expand(-1, steps, *tensor.shape[1:])
+
+
+def _pose(moment: Moment) -> FloatArray:
+    return np.column_stack((moment.xy_m, moment.yaw_rad))
