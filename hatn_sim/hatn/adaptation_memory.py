@@ -11,6 +11,7 @@ with the time ahead, and is never larger than an unforeseen acceleration could m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -18,7 +19,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, BoolArray, FloatArray, IntArray
+from hatn_sim.datatypes import (
+    DT_S,
+    HISTORY_FRAMES,
+    HORIZON_FRAMES,
+    BoolArray,
+    FloatArray,
+    IntArray,
+)
 from hatn_sim.hatn.adaptation import (
     FilterSettings,
     FilterState,
@@ -30,7 +38,9 @@ from hatn_sim.hatn.adaptation import (
 )
 from hatn_sim.hatn.adaptation_layer import Layer, positions_with, prior_of, sensitivity_m2
 from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch
-from hatn_sim.hatn.inputs import to_vehicle_frame
+from hatn_sim.hatn.inputs import to_vehicle_frame, vehicle_inputs
+from hatn_sim.perception import Perception
+from hatn_sim.road import Road
 from hatn_sim.tracks import rows_before
 
 Method = Literal["mekf", "rls", "sgd"]
@@ -112,14 +122,14 @@ def learn(
     return update(state, adapter.prior, innovation, jacobian, adapter.filter)
 
 
-def corrected(adapter: Adapter, trained_m: Tensor, adapted_m: Tensor) -> Tensor:
-    """Trained positions [B, F, 2] with the fading correction towards the adapted ones."""
-    ahead_s = DT_S * torch.arange(1, trained_m.shape[1] + 1)
-    correction = (adapted_m - trained_m) * torch.exp(-ahead_s / adapter.settings.fade_s)[:, None]
-    band = (BAND_M + 0.5 * BAND_MPS2 * ahead_s**2)[:, None]
-    length = torch.linalg.vector_norm(correction, dim=-1, keepdim=True)
-    correction = torch.where(length <= band, correction, correction * (band / length))
-    return trained_m + torch.where(torch.isfinite(correction), correction, 0.0)
+def faded(adapter: Adapter, correction_m: Tensor) -> Tensor:
+    """Corrections [B, F, 2] of predicted positions, as far as they are to be trusted."""
+    ahead_s = DT_S * torch.arange(1, correction_m.shape[1] + 1)
+    correction_m = correction_m * torch.exp(-ahead_s / adapter.settings.fade_s)[:, None]
+    band_m = (BAND_M + 0.5 * BAND_MPS2 * ahead_s**2)[:, None]
+    length_m = torch.linalg.vector_norm(correction_m, dim=-1, keepdim=True)
+    within = torch.where(length_m <= band_m, correction_m, correction_m * (band_m / length_m))
+    return torch.where(torch.isfinite(within), within, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +159,39 @@ class AdaptationState:
     goal_m: Tensor  # [E, steps, G]
     pose: FloatArray  # [E, steps, 3] x_m, y_m, yaw_rad
 
-    def adapted(self, adapter: Adapter) -> BoolArray:
-        """Vehicles [E] whose parameters are others than the trained ones."""
-        changed: BoolArray = (self.filter.theta != adapter.prior).any(dim=1).numpy()
-        return changed
+
+def moment_of(road: Road, seen: Perception, vehicle: IntArray, goal_m: Tensor) -> Moment:
+    """The moment of vehicles [E], every one of them on a line, with goals [E, G]."""
+    inputs = vehicle_inputs(road, seen, vehicle)
+    return Moment(
+        ids=tuple(seen.scene.ids[index] for index in vehicle),
+        line=seen.lines.line[vehicle],
+        whole=np.asarray(seen.tracks.valid[vehicle, -HISTORY_FRAMES:].all(axis=1)),
+        batch=VehicleBatch(*map(torch.from_numpy, (inputs.history, inputs.line, inputs.at))),
+        goal_m=goal_m,
+        xy_m=seen.scene.xy_m[vehicle],
+        yaw_rad=seen.scene.yaw_rad[vehicle],
+    )
+
+
+def joined(moments: Sequence[Moment]) -> Moment:
+    """Moments of several scenes as one; ids must differ."""
+    return Moment(
+        ids=tuple(name for moment in moments for name in moment.ids),
+        line=np.concatenate([moment.line for moment in moments]),
+        whole=np.concatenate([moment.whole for moment in moments]),
+        batch=VehicleBatch(
+            *(torch.cat(parts) for parts in zip(*(_tensors(m.batch) for m in moments), strict=True))
+        ),
+        goal_m=torch.cat([moment.goal_m for moment in moments]),
+        xy_m=np.concatenate([moment.xy_m for moment in moments]),
+        yaw_rad=np.concatenate([moment.yaw_rad for moment in moments]),
+    )
+
+
+def rows_of(batch: VehicleBatch, rows: IntArray) -> VehicleBatch:
+    """The vehicles `rows` [B'] alone."""
+    return VehicleBatch(*(tensor[torch.from_numpy(rows)] for tensor in _tensors(batch)))
 
 
 def first(adapter: Adapter, moment: Moment) -> AdaptationState:
@@ -210,6 +249,31 @@ def follow(
         torch.cat((state.goal_m[at, 1:], new.goal_m[:, -1:]), 1),
         pose[:, 1:],
     )
+
+
+def correction_m(adapter: Adapter, state: AdaptationState) -> tuple[IntArray, FloatArray]:
+    """How to correct predictions: (rows [A] of adapted vehicles, offsets [A, F, 2] in metres).
+
+    Offsets are in the vehicles' frames of now.
+    """
+    changed = (state.filter.theta != adapter.prior).any(dim=1)
+    row = changed.nonzero()[:, 0]
+    if not len(row):
+        return row.numpy(), np.zeros((0, HORIZON_FRAMES, 2))
+    with torch.inference_mode():
+        batch = rows_of(state.moment.batch, row.numpy())
+        moved = [
+            positions_with(
+                adapter.network,
+                adapter.settings.layer,
+                theta,
+                batch,
+                state.moment.goal_m[row],
+                HORIZON_FRAMES,
+            )
+            for theta in (state.filter.theta[row], adapter.prior.expand(len(row), -1))
+        ]
+        return row.numpy(), faded(adapter, moved[0] - moved[1]).double().numpy()
 
 
 def _tensors(batch: VehicleBatch) -> tuple[Tensor, Tensor, Tensor]:

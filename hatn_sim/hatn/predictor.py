@@ -50,8 +50,16 @@ class Hatn:
     def predict(self, state: PerceptionState) -> Prediction:
         return self.predict_graphs(state, build_graphs(state.road, state.seen))
 
-    def predict_graphs(self, state: PerceptionState, graphs: SemanticGraphs) -> Prediction:
-        """The prediction for one moment that has been perceived already."""
+    def predict_graphs(
+        self,
+        state: PerceptionState,
+        graphs: SemanticGraphs,
+        intention: Intention | None = None,
+    ) -> Prediction:
+        """The prediction for one moment that has been perceived already.
+
+        `intention` is what `intend` said of the graphs, if it was asked before.
+        """
         seen = state.seen
         count = len(seen.scene.ids)
         components = self.weights.sgn.settings.components
@@ -63,8 +71,8 @@ class Hatn:
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
-            intention = self.intend(graphs)
-            xy[graphs.ego] = self.decode(state, graphs.ego, intention.goal_m()[:, :1])
+            intention = intention or self.intend(graphs)
+            xy[graphs.ego] = self.decode(state, graphs.ego, told_goal_m(intention))
             slots = intention.slot_logit.double().softmax(-1).numpy()
             weight[graphs.ego], mean[graphs.ego], std[graphs.ego] = _ego_goals(intention)
         return Prediction(
@@ -95,6 +103,11 @@ class Hatn:
         history, line, at = map(torch.from_numpy, (inputs.history, inputs.line, inputs.at))
         future = self._drive(history, line, at, goal_m).double().numpy()
         return to_map_frame(future, seen.scene.xy_m[vehicle], seen.scene.yaw_rad[vehicle])
+
+
+def told_goal_m(intention: Intention) -> Tensor:
+    """What the EDN is told of the egos' goals [E, G]."""
+    return intention.goal_m()[:, :1]
 
 
 def graph_batch(graphs: SemanticGraphs) -> GraphBatch:
