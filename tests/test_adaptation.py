@@ -126,6 +126,29 @@ def test_an_outlier_teaches_its_vehicle_nothing_and_no_other_is_touched(
     assert not torch.equal(after.theta[1], state.theta[1])
 
 
+def test_beyond_the_gate_an_innovation_counts_as_one_at_the_gate(
+    stream: tuple[Tensor, Tensor, Tensor],
+) -> None:
+    prior, jacobian, _ = stream
+    settings = replace(OPEN, gate=0.95, reject=3.0)
+    state = begin(prior, VEHICLES, settings)
+    p0 = settings.start_variance
+    way = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
+    for b in range(VEHICLES):
+        h = jacobian[0, b]
+        s = p0 * h @ h.T + settings.measurement_variance_m2 * torch.eye(SIZE, dtype=torch.float64)
+        gate = (gate_of(SIZE, 0.95) / (way @ torch.linalg.solve(s, way))).sqrt()
+        after = [
+            update(state, prior, (times * gate * way).expand(VEHICLES, -1), jacobian[0], settings)
+            for times in (1.0, 2.9, 3.1)
+        ]
+        moved = p0 * h.T @ torch.linalg.solve(s, gate * way)
+        torch.testing.assert_close(after[0].theta[b], prior + moved, rtol=0, atol=1e-9)
+        torch.testing.assert_close(after[1].theta[b], prior + moved, rtol=0, atol=1e-9)
+        assert torch.equal(after[2].theta[b], prior)
+        assert after[2].misses[b] == 1
+
+
 def test_the_gate_is_the_quantile_of_tables() -> None:
     assert gate_of(2, 0.95) == pytest.approx(5.991, abs=1e-3)
     assert gate_of(6, 0.999) == pytest.approx(22.458, abs=1e-3)
@@ -214,7 +237,15 @@ def test_the_jacobian_is_that_of_finite_differences() -> None:
 def test_descent_steps_along_the_gradient() -> None:
     state = begin(torch.zeros(2), 1, OPEN)
     jacobian = torch.tensor([[[1.0, 2.0], [0.0, 3.0]]])
-    after = descend(state, torch.zeros(2), torch.tensor([[0.5, -1.0]]), jacobian, 0.1, OPEN)
+    after = descend(
+        state,
+        torch.zeros(2),
+        torch.tensor([[0.5, -1.0]]),
+        jacobian,
+        0.1,
+        OPEN,
+        torch.tensor([True]),
+    )
     torch.testing.assert_close(after.theta, torch.tensor([[0.05, -0.2]]))
 
 

@@ -42,7 +42,10 @@ class FilterSettings:
     """r, the share of P_0 in P after a step. No variance exceeds r / (1 - (1 - r) / lambda) times
     the first one, if r > 1 - lambda."""
     gate: float = 0.9999
-    """Innovations that the filter holds for less probable than one minus this are outliers."""
+    """Innovations that the filter holds for less probable than one minus this are taken for smaller
+    ones, at the gate: a network that is far off needs more than one step (Huber's influence)."""
+    reject: float = 10.0
+    """Innovations this many times as large as those at the gate are outliers and teach nothing."""
     patience: int = 10
     """After so many outliers in a row the vehicle is lost, and is begun anew."""
     max_change: float = float("inf")
@@ -61,14 +64,6 @@ class FilterState:
         """The vehicles `index` [B'] alone."""
         return FilterState(self.theta[index], self.covariance[index], self.misses[index])
 
-    def put(self, index: Tensor, those: FilterState) -> FilterState:
-        """These vehicles, with `those` [B'] in the rows `index` [B']."""
-        return FilterState(
-            self.theta.index_copy(0, index, those.theta),
-            self.covariance.index_copy(0, index, those.covariance),
-            self.misses.index_copy(0, index, those.misses),
-        )
-
 
 def begin(prior: Tensor, count: int, settings: FilterSettings) -> FilterState:
     """`count` vehicles that nothing is known of yet, with parameters `prior` [P]."""
@@ -86,17 +81,14 @@ def linearise(predict: Callable[[Tensor], Tensor], theta: Tensor) -> tuple[Tenso
     """f(theta) [B, D] and its Jacobian [B, D, P] at `theta` [B, P].
 
     Vehicles do not touch each other in `predict`, so the gradient of a sum over vehicles holds
-    that of each: one pass back for each of the D measurements, however many vehicles there are.
+    that of each; those of the D measurements are taken in one batched pass back.
     """
     with torch.enable_grad():
         theta = theta.detach().requires_grad_()
         out = predict(theta)
-        last = out.shape[1] - 1
-        rows = [
-            torch.autograd.grad(out[:, k].sum(), theta, retain_graph=k < last)[0]
-            for k in range(last + 1)
-        ]
-    return out.detach(), torch.stack(rows, 1)
+        each = torch.eye(out.shape[1], dtype=out.dtype)[:, None].expand(-1, *out.shape)
+        (jacobian,) = torch.autograd.grad(out, theta, each, is_grads_batched=True)
+    return out.detach(), jacobian.transpose(0, 1)
 
 
 def update(
@@ -105,11 +97,13 @@ def update(
     innovation: Tensor,
     jacobian: Tensor,
     settings: FilterSettings,
+    seen: Tensor | None = None,
 ) -> FilterState:
     """One step of the filter.
 
-    `prior` [P] is where theta began, `innovation` [B, D], `jacobian` [B, D, P]. An innovation that
-    is beyond the gate or not finite teaches nothing, and many in a row begin the vehicle anew.
+    `prior` [P] is where theta began, `innovation` [B, D], `jacobian` [B, D, P]. An innovation
+    that is an outlier or not finite teaches nothing, and many in a row begin the vehicle anew.
+    Vehicles that are not `seen` [B] stay as they are.
     """
     size = innovation.shape[1]
     joint = state.covariance.dim() == 3
@@ -119,7 +113,9 @@ def update(
     factor, failed = torch.linalg.cholesky_ex(hp @ jacobian.mT + noise)
     white = torch.linalg.solve_triangular(factor, innovation[..., None], upper=False)
     surprise = white.square().sum((1, 2))  # e' S^-1 e
-    fits = (surprise <= gate_of(size, settings.gate)) & (failed == 0)
+    gate = gate_of(size, settings.gate)
+    fits = (surprise <= settings.reject**2 * gate) & (failed == 0)
+    white = white * (gate / surprise).clamp(max=1.0).sqrt()[:, None, None]
     # With S = L L', K e = (L^-1 H P)' L^-1 e, and K H P = (L^-1 H P)' (L^-1 H P): symmetric.
     reduced = torch.linalg.solve_triangular(factor, hp, upper=False)
     reduced = torch.where(fits[:, None, None], reduced, 0.0)
@@ -134,24 +130,27 @@ def update(
     else:
         covariance = kept * (state.covariance - reduced.square().sum(1)) + added
     misses = torch.where(fits, 0, state.misses + 1)
-    return restart(
-        FilterState(theta, covariance, misses), misses > settings.patience, prior, settings
-    )
+    if seen is not None:
+        unseen = (~seen).nonzero()[:, 0]
+        for new, old in ((theta, state.theta), (covariance, state.covariance)):
+            new[unseen] = old[unseen]
+        misses = torch.where(seen, misses, state.misses)
+    after = FilterState(theta, covariance, misses)
+    return restart(after, misses > settings.patience, prior, settings)
 
 
 def restart(
     state: FilterState, lost: Tensor, prior: Tensor, settings: FilterSettings
 ) -> FilterState:
     """The vehicles `lost` [B] begun anew, the others as they are."""
-    if not bool(lost.any()):
+    rows = lost.nonzero()[:, 0]
+    if not len(rows):
         return state
     new = begin(prior, 1, settings)
     return FilterState(
-        torch.where(lost[:, None], new.theta, state.theta),
-        torch.where(
-            lost.view(-1, *[1] * (state.covariance.dim() - 1)), new.covariance, state.covariance
-        ),
-        torch.where(lost, 0, state.misses),
+        state.theta.index_put((rows,), new.theta[0]),
+        state.covariance.index_put((rows,), new.covariance[0]),
+        state.misses.index_put((rows,), new.misses[0]),
     )
 
 
@@ -162,10 +161,11 @@ def descend(
     jacobian: Tensor,
     rate: float,
     settings: FilterSettings,
+    seen: Tensor,
 ) -> FilterState:
     """One step of stochastic gradient descent on |e|^2 / 2, for comparison: theta + rate H' e."""
     step = rate * (jacobian.mT @ innovation[..., None])[..., 0]
-    step = torch.where(torch.isfinite(step), step, 0.0)
+    step = torch.where(torch.isfinite(step) & seen[:, None], step, 0.0)
     return replace(state, theta=_within(state.theta + step, prior, settings.max_change))
 
 

@@ -102,9 +102,14 @@ def adapter_of(network: EncoderDecoderNetwork, settings: AdaptationSettings) -> 
 
 
 def learn(
-    adapter: Adapter, state: FilterState, batch: VehicleBatch, goal_m: Tensor, driven_m: Tensor
+    adapter: Adapter,
+    state: FilterState,
+    batch: VehicleBatch,
+    goal_m: Tensor,
+    driven_m: Tensor,
+    seen: Tensor,
 ) -> FilterState:
-    """One step of the filter for vehicles [B].
+    """One step of the filter for the vehicles of [B] that are `seen` [B].
 
     `batch` and `goal_m` [B, G] are what the network read `steps` frames ago, `driven_m`
     [B, steps, 2] is where the vehicles then went, in their frames of that time.
@@ -118,8 +123,10 @@ def learn(
     )
     innovation = driven_m.flatten(1) - predicted
     if settings.method == "sgd":
-        return descend(state, adapter.prior, innovation, jacobian, adapter.rate, adapter.filter)
-    return update(state, adapter.prior, innovation, jacobian, adapter.filter)
+        return descend(
+            state, adapter.prior, innovation, jacobian, adapter.rate, adapter.filter, seen
+        )
+    return update(state, adapter.prior, innovation, jacobian, adapter.filter, seen)
 
 
 def faded(adapter: Adapter, correction_m: Tensor) -> Tensor:
@@ -215,38 +222,43 @@ def follow(
     Vehicles that are new, change their line or were not seen for a frame begin anew; those of
     `unadapted`, advised or driven by an agent, never learn: they would learn our own advice.
     """
-    new = first(adapter, moment)
     rows = rows_before(state.moment.ids, moment.ids)
-    source = np.maximum(rows, 0)
     if not len(state.moment.ids) or not len(rows):
-        return new
+        return first(adapter, moment)
+    source = np.maximum(rows, 0)
     kept = (rows >= 0) & (state.moment.line[source] == moment.line) & moment.whole
-    at, keep = torch.from_numpy(source), torch.from_numpy(kept)
     frames = np.where(kept, state.frames[source], 0)
     taught = frames >= adapter.settings.steps
-    taught &= ~np.array([name in unadapted for name in moment.ids], dtype=np.bool_)
-    filtered = restart(state.filter.rows(at), ~keep, adapter.prior, adapter.filter)
-    pose = np.concatenate((state.pose[source], new.pose[:, -1:]), axis=1)
-    if taught.any():
-        who = np.flatnonzero(taught)
-        past = VehicleBatch(*(tensor[at[who], 0] for tensor in _tensors(state.batch)))
-        driven = to_vehicle_frame(pose[who, 1:, :2], pose[who, 0, :2], pose[who, 0, 2])
-        driven_m = torch.from_numpy(driven.astype(np.float32))
-        learnt = learn(
-            adapter, filtered.rows(torch.from_numpy(who)), past, state.goal_m[at[who], 0], driven_m
+    if unadapted:
+        taught &= ~np.array([name in unadapted for name in moment.ids], dtype=np.bool_)
+    same = state.moment.ids == moment.ids
+    before = state.filter if same else state.filter.rows(torch.from_numpy(source))
+    believed = restart(before, torch.from_numpy(~kept), adapter.prior, adapter.filter)
+    # From now on the first column is `steps` frames old, and the last is now.
+    batch = VehicleBatch(
+        *(
+            torch.cat((old[torch.from_numpy(source)], now[:, None]), 1)
+            for old, now in zip(_tensors(state.batch), _tensors(moment.batch), strict=True)
         )
-        filtered = filtered.put(torch.from_numpy(who), learnt)
+    )
+    goal_m = torch.cat((state.goal_m[torch.from_numpy(source)], moment.goal_m[:, None]), 1)
+    pose = np.concatenate((state.pose[source], _pose(moment)[:, None]), axis=1)
+    if taught.any():
+        driven_m = to_vehicle_frame(pose[:, 1:, :2], pose[:, 0, :2], pose[:, 0, 2])
+        believed = learn(
+            adapter,
+            believed,
+            VehicleBatch(*(tensor[:, 0] for tensor in _tensors(batch))),
+            goal_m[:, 0],
+            torch.from_numpy(driven_m.astype(np.float32)),
+            torch.from_numpy(taught),
+        )
     return AdaptationState(
         moment,
-        filtered,
+        believed,
         np.minimum(frames + 1, adapter.settings.steps) * moment.whole,
-        VehicleBatch(
-            *(
-                torch.cat((old[at, 1:], tensor[:, -1:]), 1)
-                for old, tensor in zip(_tensors(state.batch), _tensors(new.batch), strict=True)
-            )
-        ),
-        torch.cat((state.goal_m[at, 1:], new.goal_m[:, -1:]), 1),
+        VehicleBatch(*(tensor[:, 1:] for tensor in _tensors(batch))),
+        goal_m[:, 1:],
         pose[:, 1:],
     )
 
