@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final, Literal
 
 import torch
 from torch import Tensor
 
-from hatn_sim.datatypes import DT_S, HISTORY_FRAMES
+from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
 from hatn_sim.hatn.adaptation import linearise
-from hatn_sim.hatn.edn import EncoderDecoderNetwork, Parameters, VehicleBatch
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, Parameters, VehicleBatch, frozen
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 
 Layer = Literal[
@@ -61,6 +61,26 @@ def positions_with(
     own = own_parameters(network, layer, theta)
     out: Tensor = network(batch, goal_m, steps, own)
     return out
+
+
+def decoder_of(
+    network: EncoderDecoderNetwork, layer: Layer, as_program: bool
+) -> Callable[[Tensor, VehicleBatch, Tensor], Tensor]:
+    """The whole future [B, F, 2] from theta [B, P], batch and goals; see `positions_with`."""
+    if not (as_program and layer == "dense3"):
+
+        def decode(theta: Tensor, batch: VehicleBatch, goal_m: Tensor) -> Tensor:
+            return positions_with(network, layer, theta, batch, goal_m, HORIZON_FRAMES)
+
+        return decode
+    program = frozen(network, own_last_layer=True)
+    weight, bias = LAYERS[layer]
+
+    def run(theta: Tensor, batch: VehicleBatch, goal_m: Tensor) -> Tensor:
+        own = own_parameters(network, layer, theta)
+        return program(batch.history, batch.line, batch.at, goal_m, own[weight], own[bias])
+
+    return run
 
 
 def sensitivity_m2(network: EncoderDecoderNetwork, layer: Layer, steps: int) -> float:

@@ -11,7 +11,7 @@ with the time ahead, and is never larger than an unforeseen acceleration could m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -36,7 +36,13 @@ from hatn_sim.hatn.adaptation import (
     restart,
     update,
 )
-from hatn_sim.hatn.adaptation_layer import Layer, positions_with, prior_of, sensitivity_m2
+from hatn_sim.hatn.adaptation_layer import (
+    Layer,
+    decoder_of,
+    positions_with,
+    prior_of,
+    sensitivity_m2,
+)
 from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch
 from hatn_sim.hatn.inputs import to_vehicle_frame, vehicle_inputs
 from hatn_sim.perception import Perception
@@ -80,10 +86,17 @@ class Adapter:
     prior: Tensor  # [P]
     filter: FilterSettings
     rate: float  # of `sgd`, in parameters
+    decode: Callable[[Tensor, VehicleBatch, Tensor], Tensor]
+    """(theta [B, P], what B vehicles' network reads, goals) -> their future [B, F, 2]."""
 
 
-def adapter_of(network: EncoderDecoderNetwork, settings: AdaptationSettings) -> Adapter:
-    """Ready to adapt `network`, whose own parameters are frozen by this."""
+def adapter_of(
+    network: EncoderDecoderNetwork, settings: AdaptationSettings, as_program: bool = False
+) -> Adapter:
+    """Ready to adapt `network`, whose own parameters are frozen by this.
+
+    `as_program`: the last layer's predictions are traced once, and take half the time from then.
+    """
     network.requires_grad_(False)
     sensitivity = sensitivity_m2(network, settings.layer, settings.steps)
     variance = settings.start_std_m**2 / sensitivity
@@ -98,7 +111,9 @@ def adapter_of(network: EncoderDecoderNetwork, settings: AdaptationSettings) -> 
     if settings.method == "rls":
         filter_settings = replace(filter_settings, relaxation=0.0, process_variance=0.0, gate=1.0)
     rate = settings.rate / (sensitivity * 2 * settings.steps)
-    return Adapter(network, settings, prior_of(network, settings.layer), filter_settings, rate)
+    decode = decoder_of(network, settings.layer, as_program)
+    prior = prior_of(network, settings.layer)
+    return Adapter(network, settings, prior, filter_settings, rate, decode)
 
 
 def learn(
@@ -233,7 +248,8 @@ def follow(
         taught &= ~np.array([name in unadapted for name in moment.ids], dtype=np.bool_)
     same = state.moment.ids == moment.ids
     before = state.filter if same else state.filter.rows(torch.from_numpy(source))
-    believed = restart(before, torch.from_numpy(~kept), adapter.prior, adapter.filter)
+    lost = ~kept & ((rows < 0) | (state.frames[source] > 0))
+    believed = restart(before, torch.from_numpy(lost), adapter.prior, adapter.filter)
     # From now on the first column is `steps` frames old, and the last is now.
     batch = VehicleBatch(
         *(
@@ -272,20 +288,12 @@ def correction_m(adapter: Adapter, state: AdaptationState) -> tuple[IntArray, Fl
     row = changed.nonzero()[:, 0]
     if not len(row):
         return row.numpy(), np.zeros((0, HORIZON_FRAMES, 2))
+    batch = rows_of(state.moment.batch, torch.cat((row, row)).numpy())
+    goal_m = state.moment.goal_m[torch.cat((row, row))]
+    theta = torch.cat((state.filter.theta[row], adapter.prior.expand(len(row), -1)))
     with torch.inference_mode():
-        batch = rows_of(state.moment.batch, row.numpy())
-        moved = [
-            positions_with(
-                adapter.network,
-                adapter.settings.layer,
-                theta,
-                batch,
-                state.moment.goal_m[row],
-                HORIZON_FRAMES,
-            )
-            for theta in (state.filter.theta[row], adapter.prior.expand(len(row), -1))
-        ]
-        return row.numpy(), faded(adapter, moved[0] - moved[1]).double().numpy()
+        adapted, trained = adapter.decode(theta, batch, goal_m).chunk(2)
+        return row.numpy(), faded(adapter, adapted - trained).double().numpy()
 
 
 def _tensors(batch: VehicleBatch) -> tuple[Tensor, Tensor, Tensor]:

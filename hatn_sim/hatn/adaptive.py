@@ -52,7 +52,7 @@ class AdaptiveHatn:
     ) -> None:
         self.name = hatn.name
         self._hatn = hatn
-        self._adapter = adapter_of(hatn.weights.edn, settings)
+        self._adapter = adapter_of(hatn.weights.edn, settings, as_program=True)
         self._unadapted = unadapted
 
     def init(self, road: Road) -> AdaptiveState:

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, Frame, IntArray
 from hatn_sim.graph import build_graphs
-from hatn_sim.hatn.adaptation_layer import positions_with
 from hatn_sim.hatn.adaptation_memory import (
     MAX_STEPS,
     AdaptationSettings,
@@ -82,11 +81,14 @@ class AdaptationRow:
     adapted_short_m: float
     adapted_fde_m: float
 
+    def error_m(self, measure: str, which: str) -> float:
+        """`measure` ("ade1" ... "ade4", "short", "fde") of "trained" or "adapted"."""
+        value: float = getattr(self, f"{which}_{measure}_m")
+        return value
+
     def change(self, measure: str) -> float:
-        """The change of `measure` ("ade1" ... "ade4", "short", "fde") by adaptation, as a share."""
-        before: float = getattr(self, f"trained_{measure}_m")
-        after: float = getattr(self, f"adapted_{measure}_m")
-        return after / before - 1.0
+        """By what share adaptation changes `measure`: less than 0 is better."""
+        return self.error_m(measure, "adapted") / self.error_m(measure, "trained") - 1.0
 
 
 def watch(hatn: Hatn, road: Road, frames: Iterable[Frame]) -> Watched:
@@ -225,9 +227,7 @@ def _errors(
     """Displacements [B, 2, F] from `driven_m` [B, F, 2] of the map, predicted at `pose` [B, 3]."""
     with torch.inference_mode():
         trained, adapted = (
-            positions_with(
-                adapter.network, adapter.settings.layer, own, batch, goal_m, HORIZON_FRAMES
-            )
+            adapter.decode(own, batch, goal_m)
             for own in (adapter.prior.expand(len(theta), -1), theta)
         )
         adapted = trained + faded(adapter, adapted - trained)
