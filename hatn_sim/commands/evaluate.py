@@ -99,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=names,
         default=(),
         metavar="A,B",
-        help="names of scenes, or .sumocfg files (default: all that ship, but for those to learn on)",
+        help="names of scenes, or .sumocfg files (default: all shipped but those to learn on)",
     )
     parser.add_argument(
         "--seeds",
