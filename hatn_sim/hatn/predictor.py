@@ -50,8 +50,16 @@ class Hatn:
     def predict(self, state: PerceptionState) -> Prediction:
         return self.predict_graphs(state, build_graphs(state.road, state.seen))
 
-    def predict_graphs(self, state: PerceptionState, graphs: SemanticGraphs) -> Prediction:
-        """The prediction for one moment that has been perceived already."""
+    def predict_graphs(
+        self,
+        state: PerceptionState,
+        graphs: SemanticGraphs,
+        intention: Intention | None = None,
+    ) -> Prediction:
+        """The prediction for one moment that has been perceived already.
+
+        `intention` is what `intend` said of the graphs, if it was asked before.
+        """
         seen = state.seen
         count = len(seen.scene.ids)
         components = self.weights.sgn.settings.components
@@ -64,7 +72,7 @@ class Hatn:
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
-            intention = self.intend(graphs)
+            intention = intention or self.intend(graphs)
             future, probability = self.drive(state, graphs.ego, intention)
             xy = physics.repeat(future.shape[1], axis=1)
             chance = np.eye(1, future.shape[1]).repeat(count, axis=0)

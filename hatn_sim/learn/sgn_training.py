@@ -29,7 +29,7 @@ ECE_BINS: Final = 15
 
 
 class Fit(Protocol):
-    """Fits a model to samples by a loss, judged by figures; see `learn.train`."""
+    """Fits a model to samples by a loss, judged by figures; see `learn.fit`."""
 
     def __call__(
         self,
