@@ -16,7 +16,6 @@ from hatn_sim.learn.dataset import Samples
 PROFILE_PER_M: Final = 0.4
 GOAL_PER_M: Final = 0.4
 CROSSING_PER_S: Final = 0.2
-MODE_WEIGHT: Final = 2.0
 """Weights of the losses beyond the paper's, beside one nat of likelihood."""
 ROBUST_M: Final = 0.3
 ROBUST_S: Final = 0.3
@@ -98,9 +97,8 @@ def _mode_loss(modes: SlotModes, truth: Targets, several: Tensor) -> Tensor:
     far = (modes.goal_m[ego, slot] - truth.goal_m[ego, 0]).abs()
     travelled = _robust(modes.profile_m[ego, slot] - truth.profile_m[ego, 0], ROBUST_M).mean(-1)
     crossing = _robust(modes.crossing_s[ego, slot] - truth.crossing_s[ego], ROBUST_S)
-    return MODE_WEIGHT * (
-        _mean(GOAL_PER_M * far + PROFILE_PER_M * travelled, known)
-        + CROSSING_PER_S * _mean(crossing, truth.crossing_mask[ego])
+    return _mean(GOAL_PER_M * far + PROFILE_PER_M * travelled, known) + (
+        CROSSING_PER_S * _mean(crossing, truth.crossing_mask[ego])
     )
 
 
