@@ -170,8 +170,7 @@ def _time_steps(
             graphs = watch.time("graphs", build_graphs, road, seen)
             if len(graphs.ego):
                 intention = watch.time("sgn", predictor.intend, graphs)
-                profile_m = intention.profile_m[:, 0]
-                watch.time("edn", predictor.decode, state.memory, graphs.ego, profile_m)
+                watch.time("edn", predictor.drive, state.memory, graphs.ego, intention)
             state, advice = watch.time("assist", advise, adviser, state, frame.scene, prediction)
             watch.time("log", writer.write, index, frame, {predictor.name: advice})
             watch.taken_ms["tick"].append(sum(watch.taken_ms[stage][-1] for stage in IN_A_TICK))

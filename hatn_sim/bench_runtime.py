@@ -79,7 +79,7 @@ def _measure(
         graphs = watch.time("graphs", build_graphs, road, state.seen)
         if len(graphs.ego):
             intention = watch.time("sgn", predictor.intend, graphs)
-            watch.time("edn", predictor.decode, state, graphs.ego, intention.profile_m[:, 0])
+            watch.time("edn", predictor.drive, state, graphs.ego, intention)
     return [
         (stage, float(np.median(watch.taken_ms[stage])))
         for stage in STAGES

@@ -1,4 +1,4 @@
-"""One trajectory for each slot that an ego may plausibly take, weighted by the slot's probability."""
+"""A trajectory for each slot that an ego may plausibly take, weighted by its probability."""
 
 from __future__ import annotations
 

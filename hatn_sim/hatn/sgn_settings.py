@@ -84,7 +84,6 @@ def best_sgn() -> SgnSettings:
         goal_knows_slots=True,
         profile=True,
         slot_modes=True,
-        goal_by_slots=True,
     )
 
 

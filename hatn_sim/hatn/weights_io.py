@@ -72,6 +72,7 @@ def features() -> dict[str, Any]:
         "goal_scale_m": [sgn_module.GOAL_SCALE_M, edn_module.GOAL_SCALE_M],
         "queued_penalty": sgn_module.QUEUED_PENALTY,
         "race_per_s": sgn_module.RACE_PER_S,
+        "race_per_gate": sgn_module.RACE_PER_GATE,
         "plain_scales": [
             edn_plain.ALIGNED_SCALE_M,
             edn_plain.MAP_SCALE_M,
@@ -199,7 +200,7 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
         )
     wanted = get_type_hints(kind)
     for name in names:
-        expected = _unfit(found[name], wanted[name], RANGES.get(name))
+        expected = unfit(found[name], wanted[name], RANGES.get(name))
         if expected:
             raise InputError(
                 f"weights card {path}: {network}.{name}: expected {expected}, "
@@ -208,7 +209,7 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
     return kind(**found)
 
 
-def _unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
+def unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
     """What was expected in place of a setting's value; "" where it is fit."""
     if get_origin(wanted) is Literal:
         return "" if value in get_args(wanted) else "one of " + ", ".join(get_args(wanted))
