@@ -1,22 +1,43 @@
-"""Train HATN: simulate traffic, then the semantic graph network, then the encoder-decoder network.
+"""Train HATN: play traffic, cut samples, fit the semantic graph network, then the encoder-decoder.
 
 Writes a .safetensors file and beside it a .json card that says how the weights were made. The
-seeds of --tune decide which epoch is kept; neither they nor --seeds may judge the result.
+traffic of --tune decides which epoch is kept; neither it nor what is learnt from may judge the
+result. A training that was stopped goes on with the same command.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
+import shlex
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.options import names, seconds, seeds, whole_number
+from hatn_sim.commands.options import add_tracks, names, seconds, whole_number
 
-EXAMPLES = """example:
+if TYPE_CHECKING:
+    from hatn_sim.learn.cache import SampleCache
+    from hatn_sim.learn.settings import TrainingSettings
+    from hatn_sim.learn.split import Split
+    from hatn_sim.learn.sweep import Trial
+    from hatn_sim.learn.train import TrainingPlan
+    from hatn_sim.learn.watch import Watch
+
+EXAMPLES = """examples:
   hatn-sim train --out my.safetensors
+  hatn-sim train --tracks 'site/vehicle_tracks_*.csv' --map site.osm --recordings 000-014 \\
+      --tune 015-016 --out site.safetensors
+  hatn-sim train --split split.toml --sweep sweep.toml --out my.safetensors
 
 The command that made the weights that ship is in their card, hatn_sim/hatn/weights/hatn.json.
 """
+SCENES: Final = ("intersection5",)
+SEEDS: Final = "1-12"
+TUNE: Final = "101-102"
+OF_SCENES: Final = ("scenes", "seeds", "duration", "risks", "density")
+OF_TRACKS: Final = ("tracks", "map", "recordings")
+SHOWN_TRIALS: Final = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,40 +45,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes",
         type=names,
-        default=("intersection5",),
         metavar="A,B",
-        help="scenes to learn from (default: intersection5)",
+        help="scenes to learn from, or folders of runs (default: intersection5)",
     )
-    parser.add_argument(
-        "--seeds", type=seeds, default=tuple(range(1, 13)), metavar="A-B", help="(default: 1-12)"
-    )
+    parser.add_argument("--seeds", metavar="A-B", help=f"of the scenes (default: {SEEDS})")
     parser.add_argument(
         "--tune",
-        type=seeds,
-        default=(101, 102),
         metavar="A-B",
-        help="seeds that choose the epoch (default: 101-102)",
+        help=f"seeds, or recordings, that choose the epoch (default: seeds {TUNE})",
     )
     parser.add_argument(
-        "--duration",
-        type=seconds,
-        default=600.0,
-        metavar="S",
-        help="seconds of traffic for each seed (default: 600)",
+        "--duration", type=seconds, metavar="S", help="of traffic for each seed (default: 600)"
     )
     parser.add_argument(
         "--risks",
         type=names,
-        default=("courteous",),
         metavar="A,B",
         help="risk profiles, the seeds taking them in turn (default: courteous)",
     )
-    parser.add_argument("--density", default="normal", metavar="light|normal|dense")
-    parser.add_argument("--sgn-epochs", type=whole_number, default=20, metavar="N")
-    parser.add_argument("--edn-epochs", type=whole_number, default=20, metavar="N")
-    parser.add_argument("--workers", type=whole_number, default=2, metavar="N", help="processes")
+    parser.add_argument("--density", metavar="light|normal|dense")
+    add_tracks(parser, "in place of scenes")
+    parser.add_argument(
+        "--split", type=Path, metavar="FILE.toml", help="a file that names all of this instead"
+    )
+    parser.add_argument(
+        "--form",
+        choices=("hatn", "paper", "both"),
+        help="the best networks, the paper's, or both (default: hatn, for --tracks both)",
+    )
+    parser.add_argument("--settings", type=Path, metavar="FILE.toml", help="of networks and fits")
+    parser.add_argument(
+        "--sweep",
+        type=Path,
+        metavar="FILE.toml",
+        help="try settings out, write the best to OUT.settings.toml and train nothing else",
+    )
+    parser.add_argument("--epochs", type=whole_number, metavar="N", help="of both networks")
+    parser.add_argument("--sgn-epochs", type=whole_number, metavar="N")
+    parser.add_argument("--edn-epochs", type=whole_number, metavar="N")
+    parser.add_argument(
+        "--workers", type=whole_number, metavar="N", help="processes (default: one for every core)"
+    )
     parser.add_argument(
         "--torch-seed", type=int, default=0, metavar="N", help="0 or more (default: 0)"
+    )
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument(
+        "--cache", metavar="FOLDER|none", help="where samples are kept (default: the system's)"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.safetensors")
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -65,72 +99,183 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Train and say what came out."""
-    from hatn_sim.config import load_scenario
+    from hatn_sim.commands.train_progress import TrainProgress
     from hatn_sim.errors import InputError
 
     out: Path = arguments.out
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out}: expected a name that ends in .safetensors")
-    for file in (out, out.with_suffix(".json")):
-        if file.exists():
-            raise InputError(
-                f"--out {out}: {file.name} exists already; choose another name or remove it"
-            )
-    for scene in arguments.scenes:
-        simulator = load_scenario(scene).simulator
-        if simulator != "sumo":
-            raise InputError(
-                f"--scenes {scene}: training simulates with SUMO, found a scene of {simulator}; "
-                "choose another scene"
-            )
-        for risk in arguments.risks:
-            load_scenario(scene, arguments.density, risk)
+    split = _split(arguments)
 
-    from hatn_sim.learn.train import TrainingPlan, train
+    from hatn_sim.learn.train import TrainingPlan, train, weights_path
 
+    cache = _cache(arguments)
     plan = TrainingPlan(
-        scenes=arguments.scenes,
-        seeds=arguments.seeds,
-        tune_seeds=arguments.tune,
-        duration_s=arguments.duration,
-        risks=arguments.risks,
-        density=arguments.density,
-        sgn_epochs=arguments.sgn_epochs,
-        edn_epochs=arguments.edn_epochs,
+        split=split,
+        forms=_forms(arguments),
         seed=arguments.torch_seed,
-        workers=arguments.workers,
+        device=arguments.device,
+        workers=arguments.workers or 0,
+        cache=cache,
+        command=_command(arguments),
     )
-
-    def say(line: str) -> None:
-        if not arguments.quiet:
-            print(line, file=sys.stderr, flush=True)
-
-    card = train(plan, out, _command(arguments), say)
-    figures = ", ".join(f"{name} {value:.4f}" for name, value in card["tune_figures"].items())
-    print(f"{out}: {card['samples']:,} samples; on the tuning seeds {figures}")
+    with TrainProgress(arguments.quiet) as watch:
+        if arguments.sweep is not None:
+            return _sweep(arguments, plan, watch)
+        cards = train(plan, out, watch)
+        if cache.folder is not None:
+            watch.say(f"samples kept in {cache.folder}: {cache.size_bytes() / 1e6:,.0f} MB")
+    for form, card in cards.items():
+        figures = ", ".join(f"{name} {value:.4f}" for name, value in card["tune_figures"].items())
+        path = weights_path(out, form)
+        print(f"{path}: {card['samples']:,} samples; on the tuning traffic {figures}")
     return 0
 
 
+def _split(arguments: argparse.Namespace) -> Split:
+    from hatn_sim.errors import InputError
+    from hatn_sim.learn.split import make_split, traffic_of_tracks
+    from hatn_sim.learn.split_file import read_split
+
+    given = {
+        name for name in (*OF_SCENES, *OF_TRACKS, "tune") if getattr(arguments, name) is not None
+    }
+    if arguments.split is not None:
+        for name in sorted(given):
+            raise InputError(f"--{name}: --split names all traffic; leave one of them out")
+        return read_split(arguments.split)
+    if arguments.tracks is None:
+        for name in OF_TRACKS:
+            if name in given:
+                raise InputError(f"--{name} goes with --tracks; leave it out")
+        return _split_of_scenes(arguments)
+    for name in OF_SCENES:
+        if name in given:
+            raise InputError(f"--{name} is for scenes; leave it out with --tracks, or use --split")
+    for name in ("recordings", "tune"):
+        if name not in given:
+            raise InputError(f"--tracks: add --{name} 000-014, those to learn from and to tune on")
+    parts = {
+        part: traffic_of_tracks(arguments.tracks, arguments.map, wanted)
+        for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
+    }
+    return make_split(parts, {"train": "--recordings", "tune": "--tune", "test": "test"})
+
+
+def _split_of_scenes(arguments: argparse.Namespace) -> Split:
+    """Scenes by their seeds, and runs by the seeds that they were made with."""
+    from hatn_sim.errors import InputError
+    from hatn_sim.learn.split import DURATION_S, make_split, traffic_of_runs, traffic_of_scenes
+    from hatn_sim.learn.split_file import spans
+
+    words = SCENES if arguments.scenes is None else arguments.scenes
+    if not words or arguments.risks == ():
+        raise InputError("--scenes, --risks, --seeds and --tune: expected at least one of each")
+    folders = [word for word in words if (Path(word) / "run.json").is_file()]
+    scenes = [word for word in words if word not in folders]
+    runs = traffic_of_runs(folders)
+    parts = {}
+    for part, option, text in (
+        ("train", "--seeds", arguments.seeds or SEEDS),
+        ("tune", "--tune", arguments.tune or TUNE),
+    ):
+        wanted = spans(text, option)
+        parts[part] = traffic_of_scenes(
+            scenes,
+            wanted,
+            arguments.risks or (),
+            arguments.density,
+            arguments.duration or DURATION_S,
+        ) + [run for run in runs if run.seed in wanted]
+    for run in runs:
+        if not any(run in part for part in parts.values()):
+            raise InputError(
+                f"--scenes: {run.name} was made with seed {run.seed}, which is neither in --seeds "
+                "nor in --tune; add it to one"
+            )
+    return make_split(parts, {"train": "--seeds", "tune": "--tune", "test": "test"})
+
+
+def _cache(arguments: argparse.Namespace) -> SampleCache:
+    from hatn_sim.learn.cache import SampleCache, default_folder
+
+    if arguments.cache == "none":
+        return SampleCache(None)
+    return SampleCache(default_folder() if arguments.cache is None else Path(arguments.cache))
+
+
+def _forms(arguments: argparse.Namespace) -> Mapping[str, TrainingSettings]:
+    """The settings of every form that was asked for."""
+    from hatn_sim.learn.settings import FORMS, read_settings
+
+    form = arguments.form or ("hatn" if arguments.tracks is None else "both")
+    forms = {name: one for name, one in FORMS.items() if form in (name, "both")}
+    if arguments.settings is not None:
+        forms = {name: read_settings(arguments.settings, one) for name, one in forms.items()}
+    sgn, edn = arguments.sgn_epochs or arguments.epochs, arguments.edn_epochs or arguments.epochs
+    if sgn is not None:
+        forms = {k: replace(f, sgn_fit=replace(f.sgn_fit, epochs=sgn)) for k, f in forms.items()}
+    if edn is not None:
+        forms = {k: replace(f, edn_fit=replace(f.edn_fit, epochs=edn)) for k, f in forms.items()}
+    return forms
+
+
+def _sweep(arguments: argparse.Namespace, plan: TrainingPlan, watch: Watch) -> int:
+    from hatn_sim.errors import InputError
+    from hatn_sim.learn.settings import changed, settings_toml
+    from hatn_sim.learn.sweep import best_trial, read_sweep, run_sweep
+    from hatn_sim.learn.whole_file import write_whole
+
+    if len(plan.forms) > 1:
+        raise InputError("--sweep tries out one form: add --form hatn or --form paper")
+    (basis,) = plan.forms.values()
+    sweep = read_sweep(arguments.sweep, basis)
+    found = run_sweep(plan, sweep, basis, arguments.out.with_suffix(".sweep.jsonl"), watch)
+    best = best_trial(found, sweep.judged_by)
+    path = arguments.out.with_suffix(".settings.toml")
+    text = settings_toml(changed(basis, str(arguments.sweep), best.values))
+    try:
+        write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; make room") from None
+    _print_trials(found, sweep.judged_by)
+    print(f"best settings in {path}; train with --settings {path}")
+    return 0
+
+
+def _print_trials(found: list[Trial], judged_by: str) -> None:
+    from rich.table import Table
+
+    from hatn_sim.commands.console import make_console
+
+    ranked = sorted(found, key=lambda one: one.figures.get(judged_by, float("inf")))
+    figures = list(dict.fromkeys(name for one in ranked for name in one.figures))
+    table = Table(box=None, pad_edge=False)
+    for name in (*ranked[0].values, *figures):
+        table.add_column(name, justify="right")
+    for one in ranked[:SHOWN_TRIALS]:
+        values = [
+            f"{value:.4f}" if (value := one.figures.get(name)) is not None else "-"
+            for name in figures
+        ]
+        table.add_row(*(str(value) for value in one.values.values()), *values)
+    console = make_console()
+    console.print(table)
+    if len(ranked) > SHOWN_TRIALS:
+        console.print(f"and {len(ranked) - SHOWN_TRIALS} more")
+
+
 def _command(arguments: argparse.Namespace) -> str:
-    return (
-        f"hatn-sim train --scenes {','.join(arguments.scenes)} "
-        f"--seeds {_spans(arguments.seeds)} --tune {_spans(arguments.tune)} "
-        f"--duration {arguments.duration:g} --risks {','.join(arguments.risks)} "
-        f"--density {arguments.density} --sgn-epochs {arguments.sgn_epochs} "
-        f"--edn-epochs {arguments.edn_epochs} --workers {arguments.workers} "
-        f"--torch-seed {arguments.torch_seed} --out {arguments.out.name}"
-    )
-
-
-def _spans(numbers: tuple[int, ...]) -> str:
-    """1, 2, 3, 7 -> "1-3,7"."""
-    parts: list[str] = []
-    start = last = numbers[0]
-    for number in (*numbers[1:], None):
-        if number is not None and number == last + 1:
-            last = number
+    """The command that does the same again: what was given, without paths of anybody's folders."""
+    words = ["hatn-sim", "train"]
+    for name, value in vars(arguments).items():
+        if name in ("verb", "quiet", "cache", "workers", "sweep") or value is None:
             continue
-        parts.append(f"{start}" if start == last else f"{start}-{last}")
-        if number is not None:
-            start = last = number
-    return ",".join(parts)
+        option = f"--{name.replace('_', '-')}"
+        if isinstance(value, Path):
+            words += [option, value.name]
+        elif name == "tracks":
+            words += [option, *(Path(pattern).name for pattern in value)]
+        else:
+            words += [option, ",".join(value) if isinstance(value, tuple) else f"{value}"]
+    return shlex.join(words)

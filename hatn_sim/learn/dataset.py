@@ -94,8 +94,12 @@ def concatenate(parts: Sequence[Samples]) -> Samples:
     for part in parts:
         numbered.append(replace(part, run=part.run + first))
         first += int(part.run.max(initial=-1)) + 1
+    return _stack(numbered)
+
+
+def _stack(parts: Sequence[Samples]) -> Samples:
     return Samples(
-        **{f.name: np.concatenate([getattr(p, f.name) for p in numbered]) for f in fields(Samples)}
+        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Samples)}
     )
 
 
@@ -112,8 +116,13 @@ class _Moment:
     yaw_rad: FloatArray  # [B]
 
 
-def samples_of_run(road: Road, frames: Iterable[Frame], use_routes: bool = False) -> Samples:
-    """Every vehicle with a line, 11 frames behind it, at every fifth frame of a run."""
+def samples_of_run(
+    road: Road,
+    frames: Iterable[Frame],
+    use_routes: bool = False,
+    history_frames: int = HISTORY_FRAMES,
+) -> Samples:
+    """Every vehicle with a line and `history_frames` behind it, at every fifth frame of a run."""
     state = begin(road)
     moments: list[_Moment] = []
     row_of: dict[str, int] = {}
@@ -124,19 +133,21 @@ def samples_of_run(road: Road, frames: Iterable[Frame], use_routes: bool = False
         rows = np.array([row_of.setdefault(name, len(row_of)) for name in scene.ids], np.int64)
         seen_rows.append((rows, scene))
         if index % SAMPLE_EVERY_FRAMES == 0:
-            moments.append(_moment(road, index, rows, state.seen))
+            moments.append(_moment(road, index, rows, state.seen, history_frames))
         if index % IDLE_FRAMES == 0:
             road.release(IDLE_FRAMES, KEEP_LINES)
     trajectories, motion = _trajectories_of(tuple(row_of), seen_rows)
-    return concatenate([_samples_of_moment(m, trajectories, motion) for m in moments])
+    return _stack([_samples_of_moment(m, trajectories, motion) for m in moments])
 
 
-def _moment(road: Road, index: int, rows: IntArray, seen: Perception) -> _Moment:
+def _moment(
+    road: Road, index: int, rows: IntArray, seen: Perception, history_frames: int
+) -> _Moment:
     graphs = build_graphs(road, seen)
     graphs = replace(
         graphs, x=graphs.x.astype(np.float32), context=graphs.context.astype(np.float32)
     )
-    keep = np.flatnonzero(seen.tracks.valid[graphs.ego, -HISTORY_FRAMES:].all(axis=1))
+    keep = np.flatnonzero(seen.tracks.valid[graphs.ego, -history_frames:].all(axis=1))
     ego = graphs.ego[keep]
     inputs = vehicle_inputs(road, seen, ego)
     return _Moment(index, rows, keep, graphs, inputs, seen.scene.xy_m[ego], seen.scene.yaw_rad[ego])

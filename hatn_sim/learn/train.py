@@ -1,161 +1,249 @@
-"""`hatn-sim train`: simulate, cut samples, train the SGN alone, then the EDN on its goals."""
+"""`hatn-sim train`: samples of a split, the SGN alone, then the EDN on what the SGN predicts."""
 
 from __future__ import annotations
 
-import copy
-import math
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import get_context
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-import numpy as np
 import torch
-from torch import Tensor, nn
+from safetensors.torch import save_file
 
 import hatn_sim
-from hatn_sim.datatypes import Frame, IntArray
 from hatn_sim.errors import HatnSimError, InputError
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
-from hatn_sim.hatn.sgn_settings import best_sgn
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.inputs import Float32Array
+from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.weights_io import make_folder, save_weights
 from hatn_sim.learn import edn_training
-from hatn_sim.learn.batches import batches
-from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
-from hatn_sim.learn.sgn_training import predicted_profiles, train_sgn
-from hatn_sim.loop import warm_up
+from hatn_sim.learn.cache import SampleCache, key_of, source_version
+from hatn_sim.learn.dataset import Samples
+from hatn_sim.learn.fit import Figures, FitSettings, LossError, Workplace, fit
+from hatn_sim.learn.settings import TrainingSettings
+from hatn_sim.learn.sgn_training import Fit, predicted_profiles, train_sgn
+from hatn_sim.learn.sources import cores, gather
+from hatn_sim.learn.split import Split
+from hatn_sim.learn.watch import Nobody, Watch
+from hatn_sim.learn.whole_file import write_whole
 
-WEIGHT_DECAY = 0.01
-WARM_UP_S = 60.0
-"""Traffic builds up for this long before samples are taken."""
-MAX_SEED = 2**64 - 1
+MAX_SEED: Final = 2**64 - 1
 """The largest that torch takes."""
-Say = Callable[[str], None]
+PLAN_FILE: Final = "plan.json"
+OF_FORM: Final = {"hatn": "", "paper": "-paper"}
+"""What the name of a form's weights ends in."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrainingPlan:
-    """What `hatn-sim train` was asked to do; goes into the card."""
+    """What `hatn-sim train` was asked to do."""
 
-    scenes: tuple[str, ...]
-    seeds: tuple[int, ...]
-    tune_seeds: tuple[int, ...]
-    duration_s: float
-    risks: tuple[str, ...] = ("courteous",)
-    density: str = "normal"
-    sgn_epochs: int = 20
-    edn_epochs: int = 20
-    batch: int = 256
-    learning_rate: float = 2e-3
+    split: Split
+    forms: Mapping[str, TrainingSettings]  # of `OF_FORM`
     seed: int = 0
-    workers: int = 2
+    device: str = "cpu"
+    workers: int = 0  # processes that make samples; 0: one for every core
+    cache: SampleCache = field(default_factory=lambda: SampleCache(None))
+    command: str = ""
 
 
-@dataclass(frozen=True)
-class RunOfTraffic:
-    """One simulated run to learn from."""
+def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str, dict[str, Any]]:
+    """Train every form, write its weights and their card, and return the cards by form.
 
-    scene: str
-    seed: int
-    duration_s: float
-    risk: str
-    density: str
+    A training that was stopped goes on where it was: what is done lies in `OUT.progress` until all
+    is written.
 
-
-def simulate_samples(run: RunOfTraffic) -> Samples:
-    """Simulate a run and cut its samples; a function of its own so that it can be sent away."""
-    from hatn_sim.config import load_scenario
-    from hatn_sim.simulators.sumo import SumoSimulator
-
-    with SumoSimulator(load_scenario(run.scene, run.density, run.risk)) as simulator:
-        first = warm_up(simulator, simulator.reset(run.seed), round(WARM_UP_S / simulator.dt_s))
-
-        def frames() -> Iterator[Frame]:
-            yield first
-            for _ in range(round(run.duration_s / simulator.dt_s)):
-                yield simulator.step()
-
-        return samples_of_run(simulator.road, frames())
-
-
-def collect(runs: Sequence[RunOfTraffic], workers: int, say: Say) -> Samples:
-    """Samples of many runs, simulated side by side."""
-    parts: list[Samples] = []
-    started = time.monotonic()
-    with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
-        for done, part in enumerate(pool.map(simulate_samples, runs), start=1):
-            parts.append(part)
-            seconds = time.monotonic() - started
-            say(
-                f"simulated {done} of {len(runs)} runs, {sum(map(len, parts)):,} samples, "
-                f"{seconds:.0f} s"
-            )
-    return concatenate(parts)
-
-
-def train(plan: TrainingPlan, out: Path, command: str, say: Say) -> dict[str, Any]:
-    """Train both networks, write the weights and their card, and return the card.
-
-    InputError, before anything is simulated, where the plan or the folder of `out` is unfit, and
-    before anything is trained where the traffic gave too little to learn from.
+    Raises:
+        InputError: before any traffic is played where plan or folder is unfit, before anything is
+            trained where the traffic gave too little to learn from, and where a disk is full.
+        HatnSimError: traffic fails, or a loss is lost; see `LossError`.
     """
-    _check_plan(plan)
+    watch = watch or Nobody()
+    place = Workplace(plan.seed, _device(plan), progress_folder(out), watch)
     make_folder(out)
-    torch.manual_seed(plan.seed)
-    torch.set_num_threads(max(plan.workers, 1))
-    learn = collect(_runs(plan, plan.seeds), plan.workers, say)
-    tune = collect(_runs(plan, plan.tune_seeds), plan.workers, say)
-    _check_samples("--seeds", learn, plan.duration_s)
-    _check_samples("--tune", tune, plan.duration_s)
-
-    def fit_sgn(
-        model: nn.Module,
-        learn: Samples,
-        loss_of: Callable[[Samples, IntArray], Tensor],
-        figures: Callable[[], dict[str, float]],
-        judged_by: str,
-    ) -> dict[str, float]:
-        return _fit(model, learn, loss_of, figures, judged_by, plan.sgn_epochs, plan, "SGN", say)
-
-    sgn, sgn_figures = train_sgn(learn, tune, best_sgn(), fit_sgn)
-    goals, tune_goals = predicted_profiles(sgn, learn), predicted_profiles(sgn, tune)
-    edn, edn_figures = train_edn(learn, tune, goals, tune_goals, plan, say)
-    card = {
-        "made_by": f"hatn-sim {hatn_sim.__version__}",
-        "command": command,
-        "scenes": list(plan.scenes),
-        "seeds": list(plan.seeds),
-        "tune_seeds": list(plan.tune_seeds),
-        "duration_s": plan.duration_s,
-        "warm_up_s": WARM_UP_S,
-        "risk_profiles": list(plan.risks),
-        "density": plan.density,
-        "torch_seed": plan.seed,
-        "samples": len(learn),
-        "tune_samples": len(tune),
-        "tune_figures": {**sgn_figures, **edn_figures},
-    }
-    save_weights(out, sgn, edn, card)
-    return card
+    going_on = _goes_on(plan, out)
+    learn, tune = collect(plan, watch)
+    if not going_on:
+        _begin(plan, out)
+    torch.set_num_threads(1)  # two are slower at this size
+    cards: dict[str, dict[str, Any]] = {}
+    for form, settings in plan.forms.items():
+        path = weights_path(out, form)
+        if going_on and path.exists():
+            cards[form] = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+            continue
+        name = form if len(plan.forms) > 1 else ""
+        card = _card(plan, form, settings, len(learn), len(tune))
+        cards[form] = _train_form(learn, tune, settings, place, name, path, card)
+    shutil.rmtree(progress_folder(out), ignore_errors=True)
+    return cards
 
 
-def _check_plan(plan: TrainingPlan) -> None:
-    if not (plan.scenes and plan.risks and plan.seeds and plan.tune_seeds):
-        raise InputError("--scenes, --risks, --seeds and --tune: expected at least one of each")
-    shared = set(plan.seeds) & set(plan.tune_seeds)
-    if shared:
+def _train_form(
+    learn: Samples,
+    tune: Samples,
+    settings: TrainingSettings,
+    place: Workplace,
+    name: str,
+    path: Path,
+    card: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Train both networks, write them to `path` with their card, and return this.
+
+    Where a loss is lost, what was good before is written nevertheless: both networks to `path`, or
+    an SGN alone into the folder of progress.
+    """
+    try:
+        sgn, figures = fit_sgn(learn, tune, settings, place, name)
+    except LossError as lost:
+        if not lost.epoch or place.progress is None:
+            raise
+        kept = place.progress / f"{path.stem}-sgn.safetensors"
+        weights = lost.model.state_dict()
+        write_whole(kept, lambda file: save_file(weights, file))
+        raise HatnSimError(f"{lost}, in {kept}") from None
+    try:
+        edn, more = fit_edn(learn, tune, sgn, settings, place, name)
+    except LossError as lost:
+        if not lost.epoch:
+            raise
+        assert isinstance(lost.model, EncoderDecoderNetwork)
+        stopped = {"tune_figures": figures | lost.figures, "stopped": str(lost)}
+        save_weights(path, sgn, lost.model, {**card, **stopped})
+        raise HatnSimError(f"{lost}, in {path}") from None
+    whole = {**card, "tune_figures": figures | more}
+    save_weights(path, sgn, edn, whole)
+    return whole
+
+
+def collect(plan: TrainingPlan, watch: Watch) -> tuple[Samples, Samples]:
+    """The samples to learn from and to tune on. Raises InputError where they are too few."""
+    workers = plan.workers or cores()
+    found: list[Samples] = []
+    for part in ("train", "tune"):
+        traffic = plan.split.part(part)
+        samples = gather(part, traffic, plan.cache, workers, watch)
+        _check_samples(part, samples, len(traffic))
+        found.append(samples)
+    return found[0], found[1]
+
+
+def fit_sgn(
+    learn: Samples, tune: Samples, settings: TrainingSettings, place: Workplace, name: str = ""
+) -> tuple[SemanticGraphNetwork, Figures]:
+    """The semantic graph network and its figures; `name` tells forms apart. Raises as `fit`."""
+    return train_sgn(learn, tune, settings.sgn, _fitting(f"{name} SGN", settings.sgn_fit, place))
+
+
+def fit_edn(
+    learn: Samples,
+    tune: Samples,
+    sgn: SemanticGraphNetwork,
+    settings: TrainingSettings,
+    place: Workplace,
+    name: str = "",
+) -> tuple[EncoderDecoderNetwork, Figures]:
+    """The encoder-decoder network, on what the SGN predicts, and its figures.
+
+    Raises as `fit`; a `LossError` then holds the network's last good weights.
+    """
+    profiles = [predicted_profiles(sgn, samples) for samples in (learn, tune)]
+    how = _fitting(f"{name} EDN", settings.edn_fit, place)
+    model = make_edn(settings, profiles[0])
+    goals, tune_goals = (edn_training.goals_of(model, one) for one in profiles)
+    return model, how(
+        model,
+        learn,
+        lambda samples, rows: edn_training.training_loss(model, samples, goals, rows),
+        lambda: edn_training.figures(model, tune, tune_goals),
+        "ade_3s_m",
+    )
+
+
+def make_edn(settings: TrainingSettings, profiles: Float32Array) -> EncoderDecoderNetwork:
+    """An untrained network that takes no more of a profile [S, P] than there is."""
+    steps = min(settings.edn.goal_steps, profiles.shape[1])
+    return EncoderDecoderNetwork(replace(settings.edn, goal_steps=steps))
+
+
+def _fitting(name: str, how: FitSettings, place: Workplace) -> Fit:
+    torch.manual_seed(place.seed)  # for the weights that it begins with
+    return partial(fit, name=name.strip(), settings=how, place=place)
+
+
+def weights_path(out: Path, form: str) -> Path:
+    """Where the weights of a form go."""
+    return out.with_name(f"{out.stem}{OF_FORM[form]}{out.suffix}")
+
+
+def progress_folder(out: Path) -> Path:
+    """Where a training keeps what is done until all is written."""
+    return out.with_suffix(".progress")
+
+
+def _goes_on(plan: TrainingPlan, out: Path) -> bool:
+    """Whether a training of the same plan goes on. Raises InputError where files are in the way."""
+    folder = progress_folder(out)
+    path = folder / PLAN_FILE
+    ours = described(plan)
+    if path.is_file():
+        try:
+            theirs: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            theirs = {}
+        other = [key for key in ours if theirs.get(key) != ours[key]]
+        if other:
+            raise InputError(
+                f"{folder}: is of a training with other {', '.join(other)}; remove the folder to "
+                "begin anew, or choose another --out"
+            )
+        return True
+    for form in plan.forms:
+        for taken in (weights_path(out, form), weights_path(out, form).with_suffix(".json")):
+            if taken.exists():
+                raise InputError(
+                    f"--out {out}: {taken.name} exists already; choose another name or remove it"
+                )
+    return False
+
+
+def _begin(plan: TrainingPlan, out: Path) -> None:
+    path = progress_folder(out) / PLAN_FILE
+    text = json.dumps(described(plan))
+    try:
+        write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
+    except OSError as error:
         raise InputError(
-            f"--seeds and --tune share {sorted(shared)}: the seeds that stop the training must be "
-            "others than those it learns from"
-        )
+            f"{path}: cannot be written: {error.strerror}; make room, or choose another --out"
+        ) from None
+
+
+def described(plan: TrainingPlan) -> dict[str, Any]:
+    """What a training hangs on: the same gives the same weights."""
+    keys = [[key_of(one) for one in plan.split.part(part)] for part in ("train", "tune")]
+    settings = {form: asdict(one) for form, one in plan.forms.items()}
+    return {
+        "traffic": hashlib.sha256(json.dumps(keys).encode()).hexdigest(),
+        "settings": settings,
+        "torch_seed": plan.seed,
+        "device": plan.device,
+        "versions": [torch.__version__, source_version(everything=True)],
+    }
+
+
+def _device(plan: TrainingPlan) -> torch.device:
     if not 0 <= plan.seed <= MAX_SEED:
         raise InputError(f"--torch-seed {plan.seed}: expected 0 or more, and less than 2^64")
+    if plan.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device cuda: torch finds no such device here; leave it out")
+    return torch.device(plan.device)
 
 
-def _check_samples(option: str, samples: Samples, duration_s: float) -> None:
+def _check_samples(part: str, samples: Samples, pieces: int) -> None:
     """InputError unless there is something of every kind to learn from, and to judge by."""
     kinds = {
         "with a known goal": samples.goal_mask[:, 0],
@@ -166,86 +254,21 @@ def _check_samples(option: str, samples: Samples, duration_s: float) -> None:
     if not all(counts.values()):
         found = ", ".join(f"{count} {kind}" for kind, count in counts.items())
         raise InputError(
-            f"{option}: too little to learn from in {duration_s:g} s a seed: {len(samples)} "
-            f"samples, {found}; raise --duration"
+            f"traffic to {part}: too little to learn from: {len(samples)} samples, {found}, in "
+            f"{pieces} piece{'s' if pieces > 1 else ''} of traffic; give longer ones or more"
         )
 
 
-def _runs(plan: TrainingPlan, seeds: Sequence[int]) -> list[RunOfTraffic]:
-    return [
-        RunOfTraffic(scene, seed, plan.duration_s, plan.risks[k % len(plan.risks)], plan.density)
-        for scene in plan.scenes
-        for k, seed in enumerate(seeds)
-    ]
-
-
-def train_edn(
-    learn: Samples,
-    tune: Samples,
-    goals: np.ndarray,
-    tune_goals: np.ndarray,
-    plan: TrainingPlan,
-    say: Say,
-) -> tuple[EncoderDecoderNetwork, dict[str, float]]:
-    """The encoder-decoder network, on the goals [S, G] that the SGN predicts."""
-    model = EncoderDecoderNetwork(EdnSettings(goal_steps=goals.shape[1]))
-
-    def loss_of(samples: Samples, rows: np.ndarray) -> Tensor:
-        return edn_training.training_loss(model, samples, goals, rows)
-
-    def figures() -> dict[str, float]:
-        return edn_training.figures(model, tune, tune_goals)
-
-    best = _fit(model, learn, loss_of, figures, "ade_3s_m", plan.edn_epochs, plan, "EDN", say)
-    return model, best
-
-
-def _fit(
-    model: nn.Module,
-    learn: Samples,
-    loss_of: Callable[[Samples, np.ndarray], Tensor],
-    figures: Callable[[], dict[str, float]],
-    judged_by: str,
-    epochs: int,
-    plan: TrainingPlan,
-    name: str,
-    say: Say,
-) -> dict[str, float]:
-    """Adam with a cosine schedule; the epoch that is best on the tuning seeds is kept."""
-    random = np.random.default_rng(plan.seed)
-    optimiser = torch.optim.AdamW(
-        model.parameters(), lr=plan.learning_rate, weight_decay=WEIGHT_DECAY
-    )
-    steps = epochs * math.ceil(len(learn) / plan.batch)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, plan.learning_rate, max(steps, 2))
-    best: dict[str, float] = {}
-    best_state = copy.deepcopy(model.state_dict())
-    started = time.monotonic()
-    for epoch in range(1, epochs + 1):
-        model.train()
-        total = 0.0
-        for rows in batches(len(learn), plan.batch, random):
-            loss = loss_of(learn, rows)
-            if not bool(torch.isfinite(loss)):
-                model.load_state_dict(best_state)
-                raise HatnSimError(
-                    f"training {name}: the loss became {loss.item()} in epoch {epoch}"
-                )
-            optimiser.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-            optimiser.step()
-            schedule.step()
-            total += float(loss.detach()) * len(rows)
-        model.eval()
-        now = figures()
-        if not best or now[judged_by] < best[judged_by]:
-            best, best_state = now, copy.deepcopy(model.state_dict())
-        shown = ", ".join(f"{key} {value:.4f}" for key, value in now.items())
-        say(
-            f"{name} epoch {epoch} of {epochs}: loss {total / len(learn):.4f}, {shown}, "
-            f"{time.monotonic() - started:.0f} s"
-        )
-    model.load_state_dict(best_state)
-    model.eval()
-    return best
+def _card(
+    plan: TrainingPlan, form: str, settings: TrainingSettings, learn: int, tune: int
+) -> dict[str, Any]:
+    return {
+        "made_by": f"hatn-sim {hatn_sim.__version__}",
+        "command": plan.command,
+        "form": form,
+        "split": plan.split.card(),
+        "fit": {"sgn": asdict(settings.sgn_fit), "edn": asdict(settings.edn_fit)},
+        "torch_seed": plan.seed,
+        "samples": learn,
+        "tune_samples": tune,
+    }

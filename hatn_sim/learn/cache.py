@@ -1,0 +1,196 @@
+"""Samples that were cut before: one file for each piece of traffic.
+
+A file is named by a hash of everything that its samples depend on (the files of the scene or the
+recording, the seed, the duration, the source of this package, versions of the simulators), so
+nothing in here is ever out of date. Files are whole or not there; one that is damaged is as if it
+were not there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hatn_sim.config import Scenario
+from hatn_sim.learn.content import content_hash
+from hatn_sim.learn.dataset import Samples
+from hatn_sim.learn.split import Traffic
+from hatn_sim.learn.whole_file import write_whole
+from hatn_sim.resources import PACKAGE_DIR
+from hatn_sim.simulators.sumo_config import FILE_OPTIONS, read_sumocfg
+
+LARGEST_BYTES: Final = 20 * 2**30
+"""Of the folder: beyond that, those not used for longest go."""
+SUFFIX: Final = ".npz"
+DEPENDS_ON: Final = ("numpy", "scipy", "libsumo", "highway-env", "pyproj")
+NO_PART_IN_SAMPLES: Final = (
+    "assist",
+    "commands",
+    "predictors",
+    "report",
+    "score",
+    "bench",
+    "cli",
+    "hatn/edn",
+    "hatn/sgn",
+    "hatn/predictor",
+    "hatn/weights/hatn",
+    "hatn/adaptation",
+    "learn/",
+    "_data/",
+)
+"""Beginnings of the package's files whose change leaves samples as they are ..."""
+BUT: Final = ("learn/dataset", "learn/sources")
+"""... and those among them that have a part after all."""
+
+
+def default_folder() -> Path:
+    """Where this system keeps what can be made again."""
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "hatn_sim" / "samples"
+
+
+@dataclass(frozen=True)
+class SampleCache:
+    """A folder of samples; None keeps nothing."""
+
+    folder: Path | None
+
+    def load(self, traffic: Traffic) -> Samples | None:
+        """The samples of some traffic, None where they are not here or damaged."""
+        if self.folder is None:
+            return None
+        path = self._path(traffic)
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                samples = Samples(**{field.name: arrays[field.name] for field in fields(Samples)})
+            os.utime(path)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+        rows = {len(getattr(samples, field.name)) for field in fields(Samples)}
+        return samples if len(rows) == 1 else None
+
+    def store(self, traffic: Traffic, samples: Samples) -> str | None:
+        """Keep samples; a line for the user where they could not be."""
+        if self.folder is None:
+            return None
+        arrays = {field.name: getattr(samples, field.name) for field in fields(Samples)}
+
+        def write(path: Path) -> None:
+            with path.open("wb") as file:
+                np.savez(file, **arrays)
+
+        try:
+            write_whole(self._path(traffic), write)
+            self._make_room()
+        except OSError as error:
+            return (
+                f"cache {self.folder}: {error.strerror}: the samples of {traffic.name} are not "
+                "kept; make room, or name another folder with --cache"
+            )
+        return None
+
+    def size_bytes(self) -> int:
+        """Of all samples that are kept."""
+        return sum(path.stat().st_size for path in self._files())
+
+    def _path(self, traffic: Traffic) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{key_of(traffic)}{SUFFIX}"
+
+    def _files(self) -> list[Path]:
+        return [] if self.folder is None else list(self.folder.glob(f"*{SUFFIX}"))
+
+    def _make_room(self) -> None:
+        by_use = sorted(self._files(), key=lambda path: path.stat().st_mtime)
+        too_much = sum(path.stat().st_size for path in by_use) - LARGEST_BYTES
+        for path in by_use:
+            if too_much <= 0:
+                break
+            too_much -= path.stat().st_size
+            path.unlink(missing_ok=True)
+
+
+def key_of(traffic: Traffic) -> str:
+    """The hash of everything that the samples of some traffic depend on."""
+    scenario = traffic.scenario
+    said = {
+        "scenario": _without_folders(asdict(scenario) | {"card": None, "description": None}),
+        "seed": traffic.seed,
+        "warm_up_s": traffic.warm_up_s,
+        "duration_s": traffic.duration_s,
+        "files": [
+            content_hash(path) for path in (*_files_of(scenario), *traffic.beside) if path.is_file()
+        ],
+        "source": source_version(),
+        "versions": {name: _version(name) for name in DEPENDS_ON},
+    }
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
+
+
+@cache
+def source_version(everything: bool = False) -> str:
+    """The hash of the source of all that has a part in making samples, or of `everything`."""
+    total = hashlib.sha256()
+    for path in sorted(PACKAGE_DIR.rglob("*")):
+        name = path.relative_to(PACKAGE_DIR).as_posix()
+        ours = everything or name.startswith(BUT) or not name.startswith(NO_PART_IN_SAMPLES)
+        if ours and path.is_file() and "__pycache__" not in name:
+            total.update(f"{name} {content_hash(path)}\n".encode())
+    return total.hexdigest()
+
+
+def _files_of(scenario: Scenario) -> Iterator[Path]:
+    """Every file that a scene is read from."""
+    if scenario.recorded is not None:
+        source = scenario.recorded
+        for path in source.tracks:
+            yield from sorted(path.rglob("*.*")) if path.is_dir() else [path]
+        if source.map_path is not None:
+            yield source.map_path
+    elif scenario.highway is None:
+        # What a .sumocfg names may include other files beside it; what it writes is no part of it.
+        folder = scenario.config_path.parent
+        options = read_sumocfg(scenario.config_path)
+        written = {folder / value for name, value in options.items() if "output" in name}
+        yield from (path for path in sorted(folder.iterdir()) if path not in written)
+        yield from (
+            folder / name.strip()
+            for key in FILE_OPTIONS
+            for name in options.get(key, "").split(",")
+        )
+        yield from scenario.driver_paths
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _without_folders(value: Any) -> Any:
+    """Settings as JSON takes them, of paths their names alone."""
+    if isinstance(value, Path):
+        return value.name
+    if isinstance(value, Mapping):
+        return {str(key): _without_folders(one) for key, one in value.items()}
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return [_without_folders(one) for one in value]
+    return value

@@ -1,0 +1,247 @@
+"""What is learnt from, what is tuned on, and what is kept for testing.
+
+The split is by traffic: a seed of a scene, a recording, the log of a run; never by sample, since
+neighbouring frames tell of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from hatn_sim.config import Scenario, load_scenario, load_tracks, recording_names
+from hatn_sim.errors import InputError
+from hatn_sim.learn.content import content_hash
+from hatn_sim.log import read_run
+from hatn_sim.recordings.each import each_recording
+from hatn_sim.resources import find_scenarios
+
+PARTS: Final = ("train", "tune", "test")
+DURATION_S: Final = 600.0
+"""Of simulated traffic, for each seed."""
+WARM_UP_S: Final = 60.0
+"""For traffic to build up in a shipped scene, which begins empty."""
+MOST_SHOWN: Final = 5
+
+
+@dataclass(frozen=True)
+class Source:
+    """Something that may be in one part of a split only: all of it, or some of its cases."""
+
+    key: str
+    words: str
+    cases: frozenset[str] = frozenset()  # empty: all
+
+    def shares(self, other: Source) -> bool:
+        """Whether anything is in both."""
+        same = self.key == other.key
+        return same and (not self.cases or not other.cases or bool(self.cases & other.cases))
+
+
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """One piece of traffic to cut samples from."""
+
+    name: str
+    scenario: Scenario
+    seed: int  # without effect where the traffic is recorded
+    warm_up_s: float
+    duration_s: float | None  # None: to the end
+    sources: tuple[Source, ...]
+    beside: tuple[Path, ...] = ()  # the other recorded tracks that were named with it
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """The parts of a split, none of which shares anything with another."""
+
+    train: tuple[Traffic, ...]
+    tune: tuple[Traffic, ...]
+    test: tuple[Traffic, ...] = ()
+
+    def part(self, name: str) -> tuple[Traffic, ...]:
+        """One of `PARTS` by its name."""
+        traffic: tuple[Traffic, ...] = getattr(self, name)
+        return traffic
+
+    def card(self) -> dict[str, list[dict[str, Any]]]:
+        """What each part is made of, for the card of weights: no paths of anybody's folders."""
+        return {name: _card(self.part(name)) for name in PARTS if self.part(name)}
+
+
+def traffic_of_scenes(
+    scenes: Sequence[str],
+    seeds: Sequence[int],
+    risks: Sequence[str] = (),
+    density: str | None = None,
+    duration_s: float = DURATION_S,
+    warm_up_s: float | None = None,
+) -> list[Traffic]:
+    """Every scene with every seed, the seeds taking the risk profiles in turn.
+
+    Raises InputError for scenes, densities and risk profiles that there are not.
+    """
+    found: list[Traffic] = []
+    for scene in scenes:
+        profiles = [load_scenario(scene, density, risk) for risk in risks or (None,)]
+        for k, seed in enumerate(seeds):
+            scenario = profiles[k % len(profiles)]
+            if scenario.recorded is not None:
+                raise InputError(
+                    f"{scene}: recorded traffic has no seeds; name it among runs or tracks"
+                )
+            words = [scenario.name, f"seed {seed}", scenario.risk, scenario.density]
+            shipped = scene in find_scenarios()
+            build_up_s = 0.0 if scenario.is_user_config else WARM_UP_S
+            found.append(
+                Traffic(
+                    name=", ".join(word for word in words if word),
+                    scenario=scenario,
+                    seed=seed,
+                    warm_up_s=build_up_s if warm_up_s is None else warm_up_s,
+                    duration_s=duration_s,
+                    sources=(
+                        _seed_of(scenario.name if shipped else str(Path(scene).resolve()), seed),
+                    ),
+                )
+            )
+    return found
+
+
+def traffic_of_tracks(
+    patterns: Sequence[str], map_path: Path | None, recordings: str = ""
+) -> list[Traffic]:
+    """Every recording of some tracks; `recordings` names those wanted, as `000-014`: else all.
+
+    Raises InputError as `load_tracks` does.
+    """
+    everything = load_tracks(patterns, map_path)
+    assert everything.recorded is not None
+    whole = everything.recorded
+    wanted = replace(whole, recordings=recording_names(recordings))
+    found: list[Traffic] = []
+    for source in each_recording(wanted):
+        names = [path.name.partition(".")[0] for path in source.tracks]
+        cases = frozenset(source.recordings)
+        shown = f", {len(cases)} cases" if cases else ""
+        found.append(
+            Traffic(
+                name=f"{everything.name}, {', '.join(names)}{shown}",
+                scenario=replace(everything, recorded=source),
+                seed=0,
+                warm_up_s=0.0,
+                duration_s=None,
+                sources=tuple(
+                    Source(content_hash(path), str(path), cases) for path in source.tracks
+                ),
+                beside=tuple(path for path in whole.tracks if path not in source.tracks),
+            )
+        )
+    return found
+
+
+def traffic_of_runs(folders: Sequence[str]) -> list[Traffic]:
+    """The logs of runs. Raises InputError where a folder is not of a run."""
+    found: list[Traffic] = []
+    for folder in folders:
+        scenario = load_tracks((folder,), None)
+        path = Path(folder)
+        sources = [Source(content_hash(path / "run.json"), f"the run {path}")]
+        header = read_run(path).header
+        scene, seed = str(header.get("scene", path.name)), header.get("seed")
+        if isinstance(seed, int):
+            sources.append(_seed_of(scene, seed))
+        found.append(
+            Traffic(
+                name=f"{scene}, run {path.resolve().name}",
+                scenario=replace(scenario, name=scene),
+                seed=seed if isinstance(seed, int) else 0,
+                warm_up_s=0.0,
+                duration_s=None,
+                sources=tuple(sources),
+            )
+        )
+    return found
+
+
+def make_split(parts: Mapping[str, Iterable[Traffic]], called: Mapping[str, str]) -> Split:
+    """A split of parts by their names, `called` so in errors.
+
+    Raises InputError where two parts, or one part twice, have something in common, and where there
+    is nothing to learn from or nothing to tune on.
+    """
+    traffic = {name: tuple(parts.get(name, ())) for name in PARTS}
+    for name in ("train", "tune"):
+        if not traffic[name]:
+            raise InputError(f"{called[name]}: expected at least one piece of traffic, found none")
+    for k, first in enumerate(PARTS):
+        _refuse_twice(called[first], traffic[first])
+        for second in PARTS[k + 1 :]:
+            _refuse_shared(called[first], traffic[first], called[second], traffic[second])
+    return Split(**traffic)
+
+
+def _refuse_shared(
+    first: str, ours: Sequence[Traffic], second: str, theirs: Sequence[Traffic]
+) -> None:
+    by_key: dict[str, list[Source]] = {}
+    for source in (source for one in theirs for source in one.sources):
+        by_key.setdefault(source.key, []).append(source)
+    shared = dict.fromkeys(
+        source.words
+        for one in ours
+        for source in one.sources
+        if any(source.shares(other) for other in by_key.get(source.key, ()))
+    )
+    if shared:
+        more = f" and {len(shared) - MOST_SHOWN} more" if len(shared) > MOST_SHOWN else ""
+        raise InputError(
+            f"{first} and {second} share {', '.join(list(shared)[:MOST_SHOWN])}{more}: what is "
+            "learnt from, tuned on and tested on must be different traffic; take it out of one"
+        )
+
+
+def _refuse_twice(where: str, traffic: Sequence[Traffic]) -> None:
+    seen: set[tuple[object, ...]] = set()
+    for one in traffic:
+        key = (one.sources, one.scenario.risk, one.scenario.density)
+        if key in seen:
+            raise InputError(f"{where}: {one.name} is named twice; name it once")
+        seen.add(key)
+
+
+def _seed_of(scene: str, seed: int) -> Source:
+    """The same seed of a scene is the same demand, whoever drives."""
+    return Source(f"{scene} {seed}", f"seed {seed} of {Path(scene).name}")
+
+
+def _card(part: Sequence[Traffic]) -> list[dict[str, Any]]:
+    """Traffic of one kind in one entry, with the list of its seeds or recordings."""
+    entries: dict[tuple[object, ...], dict[str, Any]] = {}
+    for one in part:
+        scenario = one.scenario
+        if scenario.recorded is None:
+            key = (scenario.name, scenario.risk, scenario.density, one.duration_s, one.warm_up_s)
+            entry = entries.setdefault(
+                key,
+                {
+                    "scene": scenario.name,
+                    "risk": scenario.risk,
+                    "density": scenario.density,
+                    "duration_s": one.duration_s,
+                    "warm_up_s": one.warm_up_s,
+                    "seeds": [],
+                },
+            )
+            entry["seeds"].append(one.seed)
+            continue
+        is_run = scenario.recorded.map_path is None
+        key = (scenario.name, is_run)
+        kind = "runs" if is_run else "recordings"
+        entry = entries.setdefault(key, {"site": scenario.name, kind: []})
+        cases = scenario.recorded.recordings
+        names = [path.resolve().name for path in scenario.recorded.tracks]
+        entry[kind].append({"files": names, "cases": list(cases)} if cases else ", ".join(names))
+    return list(entries.values())
