@@ -21,7 +21,7 @@ VERBS: Final = {
     "score": "print the scores of one or more runs again, pooled",
     "report": "draw a picture and an animation of a run",
     "export": "write the tracks of a run as INTERACTION or SUMO floating car data",
-    "evaluate": "put scenes into a table and a figure: interacting vehicles, inferred lines",
+    "evaluate": "score predictors on many runs side by side, and print the tables of the paper",
     "net": "build a SUMO net from a Lanelet2 map or another map, in the map's own frame",
     "train": "train HATN on simulated traffic and write its weights",
     "scenarios": "list the scenes that ship, with their measured figures",

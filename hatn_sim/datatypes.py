@@ -292,6 +292,7 @@ class Score:
     n: int
     low: float | None
     high: float | None
+    std: float | None = None  # over samples, of measures that are means
 
 
 # ---------------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ class Adviser:
 
     predictor: Predictor
     lines: LineSource = "inferred"
-    egos: frozenset[str] | None = None  # who gets suggestions and alerts; None: everybody
+    egos: frozenset[str] | None = None  # who gets suggestions and alerts; None: all; empty: none
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,8 @@ def advise(
     adviser: Adviser, state: AdviserState, scene: Scene, prediction: Prediction
 ) -> tuple[AdviserState, Advice]:
     """What to make of a prediction: suggestions and alerts, where it has slots."""
-    if prediction.graphs is None or prediction.slot_probability is None:
+    nobody = adviser.egos is not None and not adviser.egos
+    if nobody or prediction.graphs is None or prediction.slot_probability is None:
         return state, Advice(prediction, (), ())
     meeting = encounters(scene, prediction)
     told, suggestions = suggest(state.suggestions, scene, prediction, meeting, adviser.egos)
@@ -175,13 +176,17 @@ def run(
     frames: int,
     write: Callable[[int, Frame, Mapping[str, Advice]], None],
     drivers: Mapping[str, Driver] | None = None,
+    every_frames: int = 1,
 ) -> int:
     """Advise a whole run and hand every frame with its advice to `write`; returns the frames done.
 
-    `frame` is the first of them. The first adviser predicts on every frame, the others on those
-    that are scored. `drivers` drive the vehicles of their ids.
+    `frame` is the first of them. The first adviser predicts on every frame, or on every
+    `every_frames`-th, the others on those that are scored. `drivers` drive the vehicles of their
+    ids, and need advice on every frame.
     """
     drivers = drivers or {}
+    if drivers and every_frames != 1:
+        raise ValueError("drivers need advice on every frame")
     road = simulator.road
     states = [begin(adviser, road) for adviser in advisers]
     driver_states: dict[str, Any] = {}
@@ -192,7 +197,7 @@ def run(
     for index in range(frames):
         advice: dict[str, Advice] = {}
         for k, adviser in enumerate(advisers):
-            if k == MAIN or index % SAMPLE_EVERY_FRAMES == 0:
+            if index % (every_frames if k == MAIN else SAMPLE_EVERY_FRAMES) == 0:
                 states[k], advice[adviser.predictor.name] = tick(adviser, states[k], frame)
             else:
                 states[k] = observe(adviser, states[k], frame)
@@ -202,9 +207,9 @@ def run(
         done = index + 1
         if frame.done or done == frames:
             break
-        shown = advice[advisers[MAIN].predictor.name]
         commands: list[Command] = []
         for ego_id, driver in drivers.items():
+            shown = advice[advisers[MAIN].predictor.name]
             if driver.from_s is not None and frame.scene.time_s < driver.from_s - ROUNDING_S:
                 continue
             with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):

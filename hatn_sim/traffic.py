@@ -29,3 +29,12 @@ def open_traffic(scenario: Scenario) -> Simulator:
     from hatn_sim.simulators.sumo import SumoSimulator
 
     return SumoSimulator(scenario)
+
+
+def ids_by(simulator: Simulator) -> str:
+    """What ids name before their first colon; see `Recording`."""
+    from hatn_sim.simulators.recorded import RecordedSimulator
+    from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
+
+    recorded = isinstance(simulator, RecordedSimulator | SumoReplay)
+    return simulator.recording.ids_by if recorded else ""

@@ -372,7 +372,7 @@ def test_recorded_tracks_are_played_once_and_to_the_end(
     ("words", "expected"),
     [
         (("--table", "densty"), "argument --table: invalid choice: 'densty'"),
-        ((), "the following arguments are required: --table"),
+        (("--table", "density", "--predictors", "idm"), "--predictors is of no use to --table de"),
         (("--table", "density", "--scenes", "roundabot8"), "unknown scene 'roundabot8'; did you"),
         (("--table", "density", "--map", "a.osm"), "--map a.osm goes with --tracks; leave it out"),
         (("--table", "density", "--tracks", "no_*.csv"), "no_*.csv: there are no such tracks"),

@@ -35,8 +35,8 @@ LAYERS = (
     ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
     ("candidates", "graph", "habits", "labels", "lines", "perception", "speed_profile", "tracks"),
     ("assist", "hatn", "predictors"),
-    ("learn", "log", "loop", "recordings", "report", "score", "traffic"),
-    ("bench", "bench_scaling", "cli", "commands", "envs"),
+    ("evaluation", "learn", "log", "loop", "recordings", "report", "score", "traffic"),
+    ("bench", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 

@@ -105,7 +105,7 @@ def test_weights_that_nobody_reads_are_refused(
     assert cli.main([*words, "--out", str(here / "out")]) == 2
     said = capsys.readouterr().err
     assert said.startswith("hatn-sim: --weights w.safetensors: idm")
-    assert "reads none; leave it out, or add --compare hatn" in said
+    assert "cannot use it; leave it out, or add hatn" in said
     assert not (here / "out").exists()
 
 

@@ -28,7 +28,9 @@ from hatn_sim.errors import InputError
 from hatn_sim.log import Run, RunWriter, read_run
 from hatn_sim.report.table import score_table, scores_json, write_scores
 from hatn_sim.score import intervals
-from hatn_sim.score.prediction import MOVING_MEASURES, UNITS, clustered_over, score_run, score_runs
+from hatn_sim.score.prediction import MOVING_MEASURES, UNITS, score_run, score_runs
+from hatn_sim.score.samples import clustered_over
+from hatn_sim.score.steps import errors_by_step
 
 ONE_SAMPLE = 45
 """Frames of a run in which each vehicle is sampled once, at frame 10."""
@@ -111,7 +113,7 @@ def two_cars() -> Traffic:
 def test_an_exact_prediction_has_no_error(tmp_path: Path) -> None:
     traffic = two_cars()
     scores = score_run(make_run(tmp_path / "run", traffic, {"exact": traffic.exact}, frames=60))
-    for measure in ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3"):
+    for measure in ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "min_ade_3s"):
         for subset, n in (("all", 8), ("moving", 4)):
             score = value(scores, "exact", measure, subset)
             assert (score.value, score.n, score.unit) == (pytest.approx(0.0, abs=1e-6), n, "m")
@@ -176,7 +178,96 @@ def test_a_run_without_samples_has_no_values(tmp_path: Path) -> None:
     assert score_runs([]) == []
 
 
+def modes(traffic: Traffic, probabilities: list[float]) -> Predictor:
+    """Of the moving car the first mode is exact, the second drifts 0.1 m a frame sideways."""
+    drift_m = 0.1 * np.arange(1, HORIZON_FRAMES + 1)
+
+    def predict(index: int) -> Prediction:
+        exact = traffic.exact(index)
+        both = np.repeat(exact.xy_m, 2, axis=1)
+        both[0, 1, :, 1] += drift_m
+        return replace(exact, xy_m=both, mode_probability=np.array([probabilities] * 2))
+
+    return predict
+
+
+def test_the_least_error_is_of_the_best_mode_that_is_not_ruled_out(tmp_path: Path) -> None:
+    traffic = two_cars()
+    predictors = {
+        "sure": modes(traffic, [1.0, 0.0]),
+        "both": modes(traffic, [0.4, 0.6]),
+        "wrong": modes(traffic, [0.0, 1.0]),
+    }
+    scores = score_run(make_run(tmp_path / "run", traffic, predictors))
+    for name, least, missed in (("sure", 0.0, 0.0), ("both", 0.0, 1.0), ("wrong", 1.55, 1.0)):
+        for subset, share in (("moving", 1.0), ("all", 0.5)):
+            found = value(scores, name, "min_ade_3s", subset)
+            assert found.value == pytest.approx(share * least, abs=1e-5)
+            miss = value(scores, name, "miss_rate_2m", subset)
+            assert (miss.value, miss.unit) == (share * missed, "share")
+
+
+def test_the_deviation_is_over_samples(tmp_path: Path) -> None:
+    traffic = two_cars()  # 1.55 m and nothing
+    scores = score_run(make_run(tmp_path / "run", traffic, {"both": modes(traffic, [0.4, 0.6])}))
+    assert value(scores, "both", "ade_3s").std == pytest.approx(1.55 / 2.0, abs=1e-5)
+    assert value(scores, "both", "ade_3s", "moving").std == pytest.approx(0.0)
+    assert value(scores, "both", "goal_error").std is None
+
+
+def test_errors_by_step(tmp_path: Path) -> None:
+    traffic = two_cars()
+    predictors = {"off": modes(traffic, [0.4, 0.6]), "exact": traffic.exact}
+    runs = [make_run(tmp_path / name, traffic, predictors, seed=name) for name in ("a", "b")]
+    found = {(one.predictor, one.subset): one for one in errors_by_step(runs)}
+    drift_m = 0.1 * np.arange(1, HORIZON_FRAMES + 1)
+    every, moving = found["off", "all"], found["off", "moving"]
+    assert (every.scene, every.n, moving.n) == ("made_up", 4, 2)
+    np.testing.assert_allclose(moving.mean_m, drift_m, atol=1e-5)
+    np.testing.assert_allclose(every.mean_m, drift_m / 2.0, atol=1e-5)
+    np.testing.assert_allclose(every.std_m, drift_m / 2.0, atol=1e-5)
+    np.testing.assert_allclose(found["exact", "all"].mean_m, 0.0, atol=1e-5)
+    # What a score says of three and of thirty steps is said of single steps here.
+    score = value(score_runs(runs), "off", "fde_3s")
+    last = (every.mean_m[-1], every.std_m[-1], every.low_m[-1], every.high_m[-1])
+    assert last == pytest.approx((score.value, score.std, score.low, score.high))
+    short = make_run(tmp_path / "short", traffic, {"exact": traffic.exact}, frames=20)
+    assert errors_by_step([short]) == []
+
+
 # --- goals
+
+
+def test_the_share_of_goals_that_the_mixture_covers(tmp_path: Path) -> None:
+    traffic = two_cars()  # 15 m and 0 m in 3 s
+
+    def goals(mean_m: list[list[float]], std_m: float) -> Predictor:
+        def predict(index: int) -> Prediction:
+            return replace(
+                traffic.exact(index),
+                goal_weight=np.full((2, 2), 0.5),
+                goal_mean_m=np.array(mean_m),
+                goal_std_m=np.full((2, 2), std_m),
+            )
+
+        return predict
+
+    predictors = {
+        # 0 m is at 16 % of the standing car's distribution: in the 90 % interval only.
+        "some": goals([[15.0, 15.0], [1.0, 1.0]], 1.0),
+        "never": goals([[40.0, 41.0], [9.0, 9.0]], 1.0),
+        "points": goals([[15.0, 15.0], [0.0, 0.0]], 0.0),
+        "split": goals([[5.0, 25.0], [-9.0, 9.0]], 1.0),  # half below, half above
+        "none": traffic.exact,
+    }
+    scores = score_run(make_run(tmp_path / "run", traffic, predictors))
+    by_hand = {"some": (0.5, 1.0), "never": (0, 0), "points": (1, 1), "split": (1, 1)}
+    for name, expected in by_hand.items():
+        found = [value(scores, name, f"goal_coverage_{share}") for share in (50, 90)]
+        assert [score.value for score in found] == list(expected), name
+        assert {score.n for score in found} == {2}
+    undefined = value(scores, "none", "goal_coverage_50")
+    assert (undefined.value, undefined.n) == (None, 0)
 
 
 def test_goal_error_is_of_the_mean_of_the_mixture(tmp_path: Path) -> None:
@@ -289,7 +380,12 @@ def test_slot_measures_by_hand(tmp_path: Path) -> None:
         # 0.9: 2 of 3 right; 0.5: 1 of 3 right
         "slot_ece": (abs(2.7 - 2.0) + abs(1.5 - 1.0)) / 6,
         "yield_base_rate": 3 / 6,
+        # 2 times 0.1^2 + 2 * 0.05^2; 0.9^2 + 0.95^2 + 0.05^2; 0.5^2 + 2 * 0.25^2;
+        # 2 times 0.5^2 + 0.75^2 + 0.25^2
+        "slot_brier": (2 * 0.015 + 1.715 + 0.375 + 2 * 0.875) / 6,
     }
+    assert value(scores, "some", "slot_accuracy").std == pytest.approx(0.5)
+    assert value(scores, "some", "slot_macro_f1").std is None
     for measure, expected in by_hand.items():
         some = value(scores, "some", measure)
         assert (some.value, some.n) == (pytest.approx(expected, abs=1e-6), 6), measure
@@ -299,6 +395,7 @@ def test_slot_measures_by_hand(tmp_path: Path) -> None:
     assert value(scores, "all", "slot_accuracy").value == 1.0
     assert value(scores, "all", "slot_macro_f1").value == 1.0
     assert value(scores, "all", "slot_ece").value == 0.0
+    assert value(scores, "all", "slot_brier").value == 0.0
     single = value(scores, "some", "single_slot_share")
     assert (single.value, single.n) == (pytest.approx(1 / 7), 7)
     assert value(scores, "all", "single_slot_share").value == 0.0
@@ -593,6 +690,7 @@ def test_scores_as_json(tmp_path: Path) -> None:
     scores = score_run(run)
     listed = json.loads(scores_json(scores))
     keys = ["measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high"]
+    keys.append("std")
     assert all(list(entry) == keys for entry in listed)
     entry = next(e for e in listed if (e["measure"], e["subset"]) == ("ade_3s", "all"))
     assert entry["value"] == pytest.approx(1.0) and entry["n"] == 2 and entry["adapt"] == "none"
@@ -619,13 +717,15 @@ def printed(scores: list[Score], width: int = 100) -> str:
     return console.file.getvalue()
 
 
+WITHOUT_SLOTS = ("slot", "yield", "single")
+
+
 def test_the_table_fits_a_hundred_columns_and_says_what_it_shows() -> None:
     def entry(predictor: str, measure: str, subset: str, number: float) -> Score:
         unit = UNITS[measure]
         low, high = 0.95 * number, 1.05 * number
-        return Score(
-            measure, predictor, "roundabout8", subset, "none", number, unit, 123456, low, high
-        )
+        shown = (measure, predictor, "roundabout8", subset, "none", number, unit, 123456)
+        return Score(*shown, low, high, std=0.7 * number)
 
     scores = [
         entry(predictor, measure, subset, number)
@@ -636,7 +736,7 @@ def test_the_table_fits_a_hundred_columns_and_says_what_it_shows() -> None:
     ]
     scores = [
         replace(s, value=None, n=0, low=None, high=None)
-        if s.predictor == "constant_velocity" and s.measure.startswith(("slot", "yield", "single"))
+        if s.predictor == "constant_velocity" and s.measure.startswith(WITHOUT_SLOTS)
         else s
         for s in scores
     ]
@@ -646,6 +746,8 @@ def test_the_table_fits_a_hundred_columns_and_says_what_it_shows() -> None:
     for part in (
         "roundabout8: errors in metres, moving samples (more than 1 m in 3 s)",
         "0.500 x0.40",
+        "± 0.350",
+        "roundabout8: modes and probabilities",
         "[0.475 0.525]",
         "123,456",
         "50.0 %",
@@ -654,7 +756,7 @@ def test_the_table_fits_a_hundred_columns_and_says_what_it_shows() -> None:
         "bootstrapped over vehicles; x ratio to constant velocity",
     ):
         assert part in text
-    slots_part = text[text.index("roundabout8: slots") :]
+    slots_part = text[text.index("roundabout8: slots") : text.index("roundabout8: modes")]
     assert "hatn" in slots_part and "\nconstant" not in slots_part, "who has no slots is left out"
 
 

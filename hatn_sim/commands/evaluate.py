@@ -1,4 +1,14 @@
-"""Evaluate scenes in a table and a figure, each simulated anew for every seed.
+"""Predict traffic with several predictors, score them on the same samples, and print one table.
+
+Every seed of a scene, and every recording, is a run of its own; all cores work on them. They are
+logged in OUT/runs and used again by the same command with the same --out. With --table, something
+else is put into a table:
+
+`sgn`, `edn`, `intention`, `adaptation`, `summary`: the paper's ablations, its numbers beside ours.
+
+`sota`: the paper's comparison with other methods beside the predictors that there are here.
+
+`runtime`: how long each network takes for 1, 10, 50 and 100 agents.
 
 `density`: how many vehicles interact with an ego, chosen as all of the scene, those within 30 m,
 those within 10 m, or those whose reference lines conflict with the ego's.
@@ -15,24 +25,75 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.options import add_tracks, names, seconds, seconds_or_none, seeds
+from hatn_sim.commands.options import (
+    add_lines,
+    add_networks,
+    add_tracks,
+    add_traffic,
+    names,
+    seconds,
+    seconds_or_none,
+    seeds,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
 
 EXAMPLES = """examples:
+  hatn-sim evaluate --scenes intersection5,roundabout8 --seeds 601-605
+  hatn-sim evaluate --tracks 'site/vehicle_tracks_*.csv' --map site.osm --recordings 017-021
   hatn-sim evaluate --table density
   hatn-sim evaluate --table density --scenes intersection5,my/town.sumocfg --seeds 1-5 --out town
   hatn-sim evaluate --table density --tracks 'site/vehicle_tracks_*.csv' --map site.osm
 """
-TABLES: Final = ("density", "lines")
-"""Each in a module `evaluate_TABLE` beside this one."""
+ABLATIONS: Final = ("sgn", "edn", "intention", "adaptation", "summary")
+MODULES: Final = {
+    **dict.fromkeys(ABLATIONS, "evaluate_ablations"),
+    "sota": "evaluate_sota",
+    "runtime": "evaluate_runtime",
+    "density": "evaluate_density",
+    "lines": "evaluate_lines",
+}
+"""Table -> its module, beside this one."""
+TRAFFIC: Final = {
+    "scenes": (),
+    "seeds": None,
+    "duration": None,
+    "warm_up": None,
+    "tracks": None,
+    "map": None,
+    "recordings": None,
+}
+PREDICTED: Final = {
+    "predictors": None,
+    "weights": None,
+    "adapt": "none",
+    "lines": "inferred",
+    "density": None,
+    "risk": None,
+    "workers": None,
+}
+"""Options -> what they are when they are not given."""
+USED_BY: Final = {
+    **{table: {"rows"} for table in ABLATIONS},
+    "sota": {*TRAFFIC, *PREDICTED},
+    "runtime": {"scenes", "seeds", "weights"},
+    "density": {*TRAFFIC},
+    "lines": {*TRAFFIC},
+}
+"""Table -> the options that it knows."""
 DURATION_S: Final = 120.0
+HELD_OUT: Final = (601, 602, 603, 604, 605)
+"""Seeds that the networks that ship have never seen; five of them make intervals over seeds."""
+PREDICTORS: Final = ("hatn", "constant_velocity", "idm")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hatn-sim evaluate`."""
-    parser.add_argument("--table", choices=TABLES, required=True, help="what to evaluate")
+    parser.add_argument(
+        "--table", choices=tuple(MODULES), help="what to print instead of the errors of predictors"
+    )
     parser.add_argument(
         "--scenes",
         type=names,
@@ -41,8 +102,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="names of scenes, or .sumocfg files (default: all that ship)",
     )
     parser.add_argument(
-        "--seeds", type=seeds, default=(1,), metavar="A-B", help="of the traffic (default: 1)"
+        "--seeds",
+        type=seeds,
+        metavar="A-B",
+        help="of the traffic (default: 601-605, that no weights that ship were trained on; of a "
+        "--table: 1)",
     )
+    parser.add_argument(
+        "--predictors",
+        type=names,
+        metavar="A,B",
+        help=f"to compare (default: {','.join(PREDICTORS)}; your own as module:Class)",
+    )
+    add_networks(parser)
+    add_lines(parser)
     parser.add_argument(
         "--duration",
         type=seconds,
@@ -55,33 +128,80 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours)",
     )
+    add_traffic(parser)
     add_tracks(parser, "as a further scene")
+    parser.add_argument(
+        "--rows",
+        type=Path,
+        metavar="FILE",
+        help="of the ablations' tables: what was reached (default: by what ships)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole_number,
+        metavar="N",
+        help="runs made at once (default: as many as there are cores)",
+    )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FOLDER",
-        help="where figure and histograms go (default: the first free runs/TABLE-N)",
+        help="where figure and numbers go (default: the first free runs/evaluate-N, "
+        "runs/TABLE-N); runs that are there already are not made again",
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notices")
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Find the scenes and hand over to the table's module."""
+    """Hand over to the table's module."""
     from hatn_sim.errors import InputError
     from hatn_sim.resources import find_scenarios
 
+    table: str | None = arguments.table
+    _check_used(arguments)
     if arguments.tracks is None:
         for option, value in (("--map", arguments.map), ("--recordings", arguments.recordings)):
             if value is not None:
                 raise InputError(f"{option} {value} goes with --tracks; leave it out")
-        arguments.scenes = arguments.scenes or tuple(find_scenarios())
-    elif arguments.table == "lines":
+        if table in (None, "density", "lines"):
+            arguments.scenes = arguments.scenes or tuple(find_scenarios())
+    elif table == "lines":
         raise InputError("--table lines: recorded tracks know no routes; leave --tracks out")
-    if arguments.table == "lines" and arguments.duration is None:
+    if table in ("density", "lines"):
+        arguments.seeds = arguments.seeds or (1,)
+    if table == "lines" and arguments.duration is None:
         arguments.duration = DURATION_S
-    code: int = import_module(f"hatn_sim.commands.evaluate_{arguments.table}").main(arguments)
+    module = "evaluate_predictors" if table is None else MODULES[table]
+    code: int = import_module(f"hatn_sim.commands.{module}").main(arguments)
     return code
+
+
+def _check_used(arguments: argparse.Namespace) -> None:
+    """InputError for an option that what is to be printed does not know."""
+    from hatn_sim.errors import InputError
+
+    table: str | None = arguments.table
+    known = {*TRAFFIC, *PREDICTED} if table is None else USED_BY[table]
+    for option, value in {**TRAFFIC, **PREDICTED, "rows": None}.items():
+        if getattr(arguments, option) != value and option not in known:
+            where = "without --table" if table is None else f"to --table {table}"
+            name = option.replace("_", "-")
+            raise InputError(f"--{name} is of no use {where}; leave it out")
+
+
+def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Scenario]:
+    """The scenes by the name they go by: where two have the same, by the words that name them."""
+    from hatn_sim.config import load_scenario, load_tracks, recording_names
+
+    named = {
+        word: load_scenario(word, arguments.density, arguments.risk) for word in arguments.scenes
+    }
+    if arguments.tracks is not None:
+        wanted = () if arguments.recordings is None else recording_names(arguments.recordings)
+        word = " ".join(arguments.tracks)
+        named[word] = load_tracks(arguments.tracks, arguments.map, wanted)
+    return by_label(named)
 
 
 def by_label(named: Mapping[str, Scenario]) -> dict[str, Scenario]:

@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate import DURATION_S, by_label, chosen_folder
+from hatn_sim.commands.evaluate import DURATION_S, chosen_folder, chosen_scenarios
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -37,7 +37,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.report.table import scores_json
     from hatn_sim.score.density import density_scores
 
-    scenarios = _scenarios(arguments)
+    scenarios = chosen_scenarios(arguments)
     out = chosen_folder(arguments, (HISTOGRAMS, *FIGURES))
     densities = {
         label: _measure(arguments, label, scenario) for label, scenario in scenarios.items()
@@ -52,18 +52,6 @@ def main(arguments: argparse.Namespace) -> int:
     _print(densities)
     print(f"figure in {out / FIGURES[0]} and {FIGURES[1]}, histograms in {out / HISTOGRAMS}")
     return 0
-
-
-def _scenarios(arguments: argparse.Namespace) -> dict[str, Scenario]:
-    """The scenes by the name they go by: where two have the same, by the words that name them."""
-    from hatn_sim.config import load_scenario, load_tracks, recording_names
-
-    named = {word: load_scenario(word) for word in arguments.scenes}
-    if arguments.tracks is not None:
-        wanted = () if arguments.recordings is None else recording_names(arguments.recordings)
-        word = " ".join(arguments.tracks)
-        named[word] = load_tracks(arguments.tracks, arguments.map, wanted)
-    return by_label(named)
 
 
 def _measure(arguments: argparse.Namespace, label: str, scenario: Scenario) -> Density:

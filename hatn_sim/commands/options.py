@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
+ADAPTATIONS: Final = ("none",)
+"""What --adapt may be."""
 SIMULATORS_OWN: Final = "sumo_driver"
 """The agent that leaves a vehicle to the simulator's driver."""
 
@@ -121,6 +123,34 @@ def add_driving(parser: argparse.ArgumentParser) -> None:
         type=seconds_or_none,
         metavar="S",
         help="with --net: from then on every recorded vehicle is driven by SUMO",
+    )
+
+
+def add_networks(parser: argparse.ArgumentParser) -> None:
+    """`--weights` and `--adapt`."""
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="weights of hatn, and with -paper behind FILE's name those of hatn-paper (default: "
+        "those that ship)",
+    )
+    parser.add_argument(
+        "--adapt",
+        choices=ADAPTATIONS,
+        default="none",
+        help="how networks learn on from every vehicle while it is seen (default: none)",
+    )
+
+
+def add_lines(parser: argparse.ArgumentParser) -> None:
+    """`--lines`."""
+    parser.add_argument(
+        "--lines",
+        choices=("inferred", "route"),
+        default="inferred",
+        help="reference lines from motion (default), or from the simulator's routes, which no "
+        "camera can see: an upper bound",
     )
 
 

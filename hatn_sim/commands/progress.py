@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -62,3 +63,71 @@ class Progress:
         elif now - self._shown > 10.0 or done == self._total:
             self._shown = now
             print(f"{self._name}: {done}{self._of} steps, {rate}", file=sys.stderr)
+
+
+class RunsProgress:
+    """Shows how far many runs are that are made side by side.
+
+    `frames` are how many each of them is to have, None where nobody knows.
+    """
+
+    def __init__(
+        self, labels: Sequence[str], frames: Sequence[int | None], dt_s: float, quiet: bool
+    ) -> None:
+        self._labels, self._frames, self._dt_s, self._quiet = labels, frames, dt_s, quiet
+        self._started: dict[int, float] = {}
+        self._tasks: dict[int, Any] = {}
+        self._done = 0
+        self._bar: Any = None
+        self._all: Any = None
+
+    def __enter__(self) -> Self:
+        if not self._quiet and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            self._bar = Bar(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.fields[said]}"),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self._bar.start()
+            self._all = self._bar.add_task("runs", total=len(self._labels), said="")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, number: int, steps: int) -> None:
+        """A run has come to so many steps."""
+        now = time.monotonic()
+        started = self._started.setdefault(number, now)
+        if self._bar is None:
+            return
+        if number not in self._tasks:
+            total = self._frames[number]
+            self._tasks[number] = self._bar.add_task(self._labels[number], total=total, said="")
+        times = steps * self._dt_s / max(now - started, 1e-3)
+        said = f"{steps} steps, {times:.1f}x real time"
+        self._bar.update(self._tasks[number], completed=steps, said=said)
+
+    def finish(self, number: int, steps: int) -> None:
+        """A run is done."""
+        self._done += 1
+        said = f"{self._done} of {len(self._labels)}"
+        if self._bar is not None:
+            if number in self._tasks:
+                self._bar.remove_task(self._tasks.pop(number))
+            self._bar.update(self._all, completed=self._done, said=said)
+        elif not self._quiet:
+            print(f"{self._labels[number]}: {steps} steps, {said} runs", file=sys.stderr)

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 from hatn_sim.commands.options import (
     SIMULATORS_OWN,
     add_driving,
+    add_lines,
+    add_networks,
     add_scene,
     add_traffic,
     chosen_scenario,
@@ -74,9 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="hatn (default), constant_velocity, idm, or your own as module:Class",
     )
-    parser.add_argument(
-        "--weights", type=Path, metavar="FILE", help="weights of hatn (default: those that ship)"
-    )
+    add_networks(parser)
     parser.add_argument(
         "--compare",
         type=names,
@@ -84,13 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help="further predictors to score on the same samples",
     )
-    parser.add_argument(
-        "--lines",
-        choices=("inferred", "route"),
-        default="inferred",
-        help="reference lines from motion (default), or from the simulator's routes, which no "
-        "camera can see: an upper bound",
-    )
+    add_lines(parser)
     parser.add_argument(
         "--egos",
         type=names,
@@ -112,11 +106,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
+    from hatn_sim.commands.chosen_predictors import load_predictors
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
     from hatn_sim.log.road_file import ROAD_FILE, write_road
-    from hatn_sim.traffic import open_traffic
+    from hatn_sim.traffic import ids_by, open_traffic
 
     started = time.monotonic()
     scenario = with_driving(chosen_scenario(arguments), arguments)
@@ -127,14 +122,15 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.duration = DURATION_S
     out: Path = arguments.out or _free_folder(scenario.name)
     _check_out(out)
-    predictors = _load_predictors(arguments)
+    wanted = (arguments.predictor, *arguments.compare)
+    predictors = load_predictors(wanted, arguments.weights, arguments.adapt, arguments.quiet)
     drivers = _load_drivers(arguments)
     header = make_header(arguments, scenario, predictors)
     where = ""
     try:
         with closing(open_traffic(scenario)) as simulator:
             first = simulator.reset(arguments.seed or 0)
-            header["settings"]["ids_by"] = _ids_by(simulator)
+            header["settings"]["ids_by"] = ids_by(simulator)
             if not arguments.quiet:
                 for notice in simulator.notices:
                     print(f"hatn-sim: {notice}", file=sys.stderr)
@@ -152,39 +148,11 @@ def main(arguments: argparse.Namespace) -> int:
         raise SimulatorError(f"{error}; repeat with `{header['command']}`{where}") from None
 
 
-def _ids_by(simulator: Simulator) -> str:
-    """What ids name before their first colon; see `Recording`."""
-    from hatn_sim.simulators.recorded import RecordedSimulator
-    from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
-
-    recorded = isinstance(simulator, RecordedSimulator | SumoReplay)
-    return simulator.recording.ids_by if recorded else ""
-
-
 def _check_out(out: Path) -> None:
     from hatn_sim.errors import InputError
 
     if out.exists():
         raise InputError(f"{out}: exists already; expected a new folder: choose another --out")
-
-
-def _load_predictors(arguments: argparse.Namespace) -> list[Predictor]:
-    """The main predictor and those to compare it with."""
-    from hatn_sim.errors import InputError
-    from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
-
-    wanted = dict.fromkeys((arguments.predictor, *arguments.compare))
-    if arguments.weights is not None and READS_WEIGHTS.isdisjoint(wanted):
-        raise InputError(
-            f"--weights {arguments.weights}: {', '.join(wanted)} reads none; leave it out, or add "
-            f"--compare {','.join(sorted(READS_WEIGHTS))}"
-        )
-    predictors = [load_predictor(name, arguments.weights) for name in wanted]
-    names = [predictor.name for predictor in predictors]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"two predictors call themselves {name!r}; give one another name")
-    return predictors
 
 
 def _load_drivers(arguments: argparse.Namespace) -> dict[str, Driver]:
@@ -254,7 +222,8 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
     from hatn_sim.datatypes import Kind
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json, write_scores
-    from hatn_sim.score.prediction import clustered_over, score_run
+    from hatn_sim.score.prediction import score_run
+    from hatn_sim.score.samples import clustered_over
 
     scoring = time.monotonic()
     logged = read_run(out)
@@ -308,7 +277,7 @@ def _write_replay(
 def _rates(logged: Run, frames: int, taken_s: float) -> list[Score]:
     """How fast the run was; not for its scores.json, which is equal in equal runs."""
     from hatn_sim.datatypes import Score
-    from hatn_sim.score.prediction import reported_name
+    from hatn_sim.score.samples import reported_name
 
     main = reported_name(logged, logged.predictors[0])
     scene, per_second = str(logged.header["scene"]), frames / taken_s

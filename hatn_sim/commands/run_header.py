@@ -28,7 +28,7 @@ def make_header(
         "scene": scenario.name,
         "title": scenario.title or scenario.name,
         "seed": arguments.seed,
-        "adapt": "none",
+        "adapt": arguments.adapt,
         "settings": {
             **_recorded_settings(scenario),
             "duration_s": arguments.duration,
@@ -71,6 +71,8 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
     words += ["--predictor", arguments.predictor, "--lines", arguments.lines]
     if arguments.weights is not None:
         words += ["--weights", str(arguments.weights)]
+    if arguments.adapt != "none":
+        words += ["--adapt", arguments.adapt]
     if arguments.compare:
         words += ["--compare", ",".join(arguments.compare)]
     if arguments.egos is not None:

@@ -28,7 +28,8 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.commands.console import make_console
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json
-    from hatn_sim.score.prediction import clustered_over, score_runs
+    from hatn_sim.score.prediction import score_runs
+    from hatn_sim.score.samples import clustered_over
 
     runs = [read_run(path) for path in arguments.runs]
     for path, logged in zip(arguments.runs, runs, strict=True):

@@ -29,10 +29,9 @@ from hatn_sim.road import Road
 class Hatn:
     """Hierarchical Adaptable and Transferable Network (Wang et al., arXiv 2202.05140)."""
 
-    name = "hatn"
-
-    def __init__(self, weights: Weights | Path) -> None:
+    def __init__(self, weights: Weights | Path, name: str = "hatn", adapt: str = "none") -> None:
         torch.set_num_threads(1)  # more threads are slower at this size
+        self.name, self.adapt = name, adapt
         self.weights = load_weights(weights) if isinstance(weights, Path) else weights
         self._drive = frozen(self.weights.edn)
 

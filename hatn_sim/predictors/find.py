@@ -12,12 +12,6 @@ from hatn_sim.plugins import make_from_module
 from hatn_sim.resources import weights_dir
 
 
-def _hatn(weights: Path | None) -> Predictor:
-    from hatn_sim.hatn.predictor import Hatn
-
-    return Hatn(weights or weights_dir() / "hatn.safetensors")
-
-
 def _constant_velocity(weights: Path | None) -> Predictor:
     from hatn_sim.predictors.constant_velocity import ConstantVelocity
 
@@ -55,7 +49,6 @@ def _fsm_t(weights: Path | None) -> Predictor:
 
 
 PREDICTORS: Final[dict[str, Callable[[Path | None], Predictor]]] = {
-    "hatn": _hatn,
     "constant_velocity": _constant_velocity,
     "constant_acceleration": _constant_acceleration,
     "constant_turn_rate": _constant_turn_rate,
@@ -63,22 +56,42 @@ PREDICTORS: Final[dict[str, Callable[[Path | None], Predictor]]] = {
     "fsm_d": _fsm_d,
     "fsm_t": _fsm_t,
 }
-READS_WEIGHTS: Final = frozenset({"hatn"})
-"""Those that `weights` are for; anybody's own are made without arguments."""
+PAPER: Final = "hatn-paper"
+"""HATN in the form of the paper."""
+READS_WEIGHTS: Final = frozenset({"hatn", PAPER})
+"""Those that `weights` and `adapt` are for; anybody's own are made without arguments."""
 NEEDED: Final = ("name", "init", "observe", "predict")
 
 
-def load_predictor(name: str, weights: Path | None = None) -> Predictor:
+def load_predictor(name: str, weights: Path | None = None, adapt: str = "none") -> Predictor:
     """The predictor of that name, or an instance of `module:Class`.
 
     Raises InputError where there is none, or where importing or making it fails.
     """
+    if name in READS_WEIGHTS:
+        from hatn_sim.hatn.predictor import Hatn
+
+        return Hatn(weights_of(name, weights), name, adapt)
     if name in PREDICTORS:
         return PREDICTORS[name](weights)
     if ":" not in name:
         raise InputError(
-            f"unknown predictor {name!r}{nearest(name, PREDICTORS)} "
+            f"unknown predictor {name!r}{nearest(name, (*READS_WEIGHTS, *PREDICTORS))} "
             "(your own: --predictor module:Class)"
         )
     made: Predictor = make_from_module("predictor", name, NEEDED)
     return made
+
+
+def weights_of(name: str, weights: Path | None) -> Path:
+    """The weight file of a network.
+
+    `weights` is that of `hatn`; the paper's form has its own beside it, FILE-paper.safetensors.
+    Without them, those that ship.
+    """
+    if weights is not None and name != PAPER:
+        return weights
+    beside = None if weights is None else weights.with_stem(f"{weights.stem}-paper")
+    if beside is not None and beside.is_file():
+        return beside
+    return weights_dir() / f"{name}.safetensors"

@@ -30,6 +30,11 @@ TITLES = {
     "slot_masked_share": "masked",
     "yield_base_rate": "always yield",
     "single_slot_share": "single slot",
+    "min_ade_3s": "least ADE 3 s",
+    "miss_rate_2m": "miss 2 m",
+    "goal_coverage_50": "goals in 50 %",
+    "goal_coverage_90": "in 90 %",
+    "slot_brier": "slot Brier",
 }
 ERRORS = ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "goal_error")
 SLOTS = (
@@ -40,6 +45,7 @@ SLOTS = (
     "slot_masked_share",
     "single_slot_share",
 )
+SPREADS = ("min_ade_3s", "miss_rate_2m", "goal_coverage_50", "goal_coverage_90", "slot_brier")
 SUBSETS = {"all": "all samples", "moving": "moving samples (more than 1 m in 3 s)"}
 NONE = "-"
 
@@ -57,10 +63,10 @@ def write_scores(folder: Path, scores: Sequence[Score]) -> Path:
 
 
 def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Group:
-    """The scores as tables for a console: for each scene, errors and then slots.
+    """The scores as tables for a console: for each scene errors, slots, and how wide answers are.
 
-    Each value stands over its 95 % interval; with constant velocity among the predictors, errors
-    come with their ratio to its.
+    Each value stands over its 95 % interval, errors over their deviation too; with constant
+    velocity among the predictors, errors come with their ratio to its.
 
     Args:
         scores: of any scenes and predictors.
@@ -73,7 +79,9 @@ def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Gr
             parts += [_error_table(scene, subset, of_scene), Text()]
         if any(score.n for score in of_scene if score.measure in SLOTS):
             parts += [_slot_table(scene, of_scene), Text()]
-    note = f"[low high] 95 % interval, bootstrapped over {clustered_over}"
+        if any(score.n for score in of_scene if score.measure in SPREADS):
+            parts += [_spread_table(scene, of_scene), Text()]
+    note = f"± of samples; [low high] 95 % interval, bootstrapped over {clustered_over}"
     if any(score.predictor == BASELINE for score in scores):
         note += f"; x ratio to {BASELINE.replace('_', ' ')}"
     if any(score.predictor.endswith("+route") for score in scores):
@@ -105,6 +113,17 @@ def _slot_table(scene: str, scores: Sequence[Score]) -> Table:
         row = [by_measure.get((predictor, measure)) for measure in SLOTS]
         if any(score and score.n for score in row):
             table.add_row(_name(row), _count(row), *(_share_cell(score) for score in row))
+    return table
+
+
+def _spread_table(scene: str, scores: Sequence[Score]) -> Table:
+    """The best of several modes, and how often the goal is where its mixture has it."""
+    table = _table(f"{scene}: modes and probabilities, {SUBSETS['all']}", SPREADS)
+    by_measure = _by_measure(scores, "all")
+    for predictor in dict.fromkeys(score.predictor for score in scores):
+        row = [by_measure.get((predictor, measure)) for measure in SPREADS]
+        if any(score and score.n for score in row):
+            table.add_row(_name(row), _count(row), *(_plain_cell(score) for score in row))
     return table
 
 
@@ -144,9 +163,17 @@ def _error_cell(score: Score | None, base: Score | None) -> str:
     cell = _metres(score.value)
     if base is not None and base.value and base is not score:
         cell += f" x{score.value / base.value:.2f}"
+    if score.std is not None:
+        cell += f"\n± {_metres(score.std)}"
     if score.low is not None and score.high is not None:
         cell += f"\n[{_metres(score.low)} {_metres(score.high)}]"
     return cell
+
+
+def _plain_cell(score: Score | None) -> str:
+    if score is not None and score.unit != "share":
+        return _error_cell(score, None)
+    return _share_cell(score)
 
 
 def _metres(value: float) -> str:

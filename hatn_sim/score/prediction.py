@@ -9,13 +9,20 @@ every 0.5 s, those without a reference line included.
 | `ade_3s`, `ade_0s3` | m | mean displacement of the most probable mode over 30, 3 frames |
 | `fde_3s`, `fde_0s3` | m | its displacement at frame 30, 3 |
 | `goal_error` | m | absolute difference of the goal mixture's mean and the distance travelled |
+| `min_ade_3s` | m | `ade_3s` of the mode that is best in hindsight, of those not ruled out |
+| `miss_rate_2m` | share | the most probable mode is more than 2 m off at frame 30 |
+| `goal_coverage_50`, `_90` | share | goals inside the central 50, 90 % interval of the mixture |
 | `slot_accuracy` | share | most probable slot = slot taken, where the slot taken is known |
 | `slot_macro_f1` | share | mean F1 of yield and pass; a pass is right with the right vehicle |
 | `slot_ece` | share | expected calibration error of the most probable slot, 15 bins |
+| `slot_brier` | 1 | sum over slots of (probability - taken)^2, from 0 to 2 (Brier, 1950) |
 | `slot_masked_share` | share | of graphs with a choice: nobody can say which slot was taken |
 | `yield_base_rate` | share | of the slots taken: what "always yield" would get right |
 | `single_slot_share` | share | of graphs with a conflict: one slot only, left out of the above |
 | `fallback_share` | share | of samples: a physical extrapolation stood in for the predictor |
+
+`std` is the standard deviation over samples (divided by n, not n - 1), as the paper prints it
+behind its means; measures that are no means have none. Errors step by step are in `steps`.
 
 Under `--lines route` the names of predictors end in `+route`: they saw what no camera can see, so
 their scores are upper bounds (see `reported_name`).
@@ -29,27 +36,30 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
-from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, IntArray, Kind, Score
+from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Score
 from hatn_sim.errors import InputError
-from hatn_sim.labels import MOVING_M, SAMPLE_EVERY_FRAMES, goal_m, samples, slot_label
+from hatn_sim.labels import SAMPLE_EVERY_FRAMES, slot_label
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.score import intervals
 from hatn_sim.score.pooling import by_scene, check_pool
+from hatn_sim.score.samples import (
+    ScoredSamples,
+    clustered_over,
+    clusters,
+    displacement_m,
+    reported_name,
+    rows_of,
+    scored_samples,
+)
 
 SHORT_FRAMES = 3
 """0.3 s."""
 ECE_BINS = 15
-USES_NO_LINES = "constant_velocity"
-"""The predictor that routes cannot help."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    vehicle: IntArray  # [S]
-    frame: IntArray  # [S]
-    future_xy_m: FloatArray  # [S, F, 2]
-    goal_m: FloatArray  # [S]
+MISS_M = 2.0
+COVERED = {"goal_coverage_50": 0.5, "goal_coverage_90": 0.9}
+"""Measure -> the probability that the central interval of the mixture holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +83,14 @@ UNITS = {
     "ade_0s3": "m",
     "fde_0s3": "m",
     "goal_error": "m",
+    "min_ade_3s": "m",
+    "miss_rate_2m": "share",
+    "goal_coverage_50": "share",
+    "goal_coverage_90": "share",
     "slot_accuracy": "share",
     "slot_macro_f1": "share",
     "slot_ece": "share",
+    "slot_brier": "1",
     "slot_masked_share": "share",
     "yield_base_rate": "share",
     "single_slot_share": "share",
@@ -83,8 +98,8 @@ UNITS = {
 }
 """Measure -> unit, in the order of the table."""
 
-MOVING_MEASURES = ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "goal_error")
-"""Measures given over moving samples too."""
+MOVING_MEASURES = tuple(list(UNITS)[:9])
+"""Measures given over moving samples too: all but those of slots and fallbacks."""
 
 ROWS = tuple(
     (measure, subset)
@@ -115,74 +130,27 @@ def score_runs(runs: Sequence[Run]) -> list[Score]:
     for scene, of_scene in by_scene(runs).items():
         check_pool(of_scene)
         measured = [_measure_run(run) for run in of_scene]
-        clusters = [_clusters(run, clustered) for run in of_scene]
+        of_vehicles = [clusters(run, clustered) for run in of_scene]
         for predictor in of_scene[0].predictors:
             name = reported_name(of_scene[0], predictor)
             adapt = measured[0][predictor].adapt
             for measure, subset in ROWS:
                 parts = [each[predictor].measures.get((measure, subset)) for each in measured]
-                value, n, bounds = _pooled(parts, clusters)
-                low, high = bounds or (None, None)
-                unit = UNITS[measure]
-                scores.append(Score(measure, name, scene, subset, adapt, value, unit, n, low, high))
+                pooled = _pooled(parts, of_vehicles)
+                scores.append(
+                    Score(measure, name, scene, subset, adapt, unit=UNITS[measure], **pooled)
+                )
     return scores
 
 
-def reported_name(run: Run, predictor: str) -> str:
-    """A predictor's name in scores: one that was handed routes is told from one that was not."""
-    return f"{predictor}+route" if run.by_route and predictor != USES_NO_LINES else predictor
-
-
-def clustered_over(runs: Sequence[Run]) -> str:
-    """What the intervals of `score_runs` are bootstrapped over: "runs", "recordings", "cases" or
-    "vehicles"."""
-    # One answer for all scenes, so that a table can say it once.
-    scenes = by_scene(runs).values()
-    if min(map(len, scenes), default=0) >= intervals.MIN_RUNS:
-        return "runs"
-    kinds = {run.ids_by for run in runs}
-    counts = [sum(len(set(run.recording_of.tolist())) for run in one) for one in scenes]
-    if len(kinds) == 1 and min(counts, default=0) >= intervals.MIN_RUNS:
-        return kinds.pop() or "vehicles"
-    return "vehicles"
-
-
-def _clusters(run: Run, clustered: str) -> IntArray:
-    """[V] the cluster of every vehicle in its run."""
-    if clustered == "runs":
-        return np.zeros(len(run.ids), dtype=np.int64)
-    return np.arange(len(run.ids)) if clustered == "vehicles" else run.recording_of
-
-
 def _measure_run(run: Run) -> dict[str, _OfPredictor]:
-    common = _samples(run)
+    common = scored_samples(run)
     return {name: _measure_predictor(run, name, common) for name in run.predictors}
 
 
-def _samples(run: Run) -> _Samples:
-    """The samples that every predictor of the run has an answer for."""
-    trajectories = run.trajectories
-    vehicle, frame = samples(trajectories, history_frames=run.history_frames)
-    kept = run.kinds[vehicle] != Kind.PEDESTRIAN
-    for predictor in run.predictors:
-        answered = _key(*run.predicted(predictor, SAMPLE_EVERY_FRAMES))
-        kept &= np.isin(_key(vehicle, frame), answered)
-    vehicle, frame = vehicle[kept], frame[kept]
-    ahead = frame[:, None] + np.arange(1, HORIZON_FRAMES + 1)
-    goal, _ = goal_m(trajectories, vehicle, frame)
-    future_xy_m, _ = trajectories.xy_at(vehicle[:, None], ahead)
-    return _Samples(vehicle, frame, future_xy_m, goal)
-
-
-def _key(vehicle: IntArray, frame: IntArray) -> IntArray:
-    return (frame << 32) + vehicle
-
-
-def _measure_predictor(run: Run, predictor: str, common: _Samples) -> _OfPredictor:
+def _measure_predictor(run: Run, predictor: str, common: ScoredSamples) -> _OfPredictor:
     table = run.predictions(predictor, SAMPLE_EVERY_FRAMES)
-    key = _key(table.vehicle, table.frame)
-    order = np.argsort(key)
-    rows = order[np.searchsorted(key[order], _key(common.vehicle, common.frame))]
+    rows = rows_of(table, common)
     measures = {
         **_displacements(run, table, rows, common),
         **_goals(run, table, rows, common),
@@ -194,30 +162,46 @@ def _measure_predictor(run: Run, predictor: str, common: _Samples) -> _OfPredict
 
 
 def _displacements(
-    run: Run, table: PredictionTable, rows: IntArray, common: _Samples
+    run: Run, table: PredictionTable, rows: IntArray, common: ScoredSamples
 ) -> dict[tuple[str, str], _Measured]:
-    mode = table.mode_probability[rows].argmax(axis=1) if len(rows) else rows
-    error_m = np.linalg.norm(table.xy_m[rows, mode] - common.future_xy_m, axis=2)
+    error_m = displacement_m(table, rows, common)
     _check_finite(run, table, rows, error_m.sum(axis=1), "positions")
     values = {
         "ade_3s": error_m.mean(axis=1),
         "fde_3s": error_m[:, -1],
         "ade_0s3": error_m[:, :SHORT_FRAMES].mean(axis=1),
         "fde_0s3": error_m[:, SHORT_FRAMES - 1],
+        "min_ade_3s": _least_ade_m(table, rows, common),
+        "miss_rate_2m": error_m[:, -1] > MISS_M,
     }
     every = np.ones(len(rows), dtype=np.bool_)
-    subsets = [_subsets(name, value, every, common) for name, value in values.items()]
-    return {key: measured for of_measure in subsets for key, measured in of_measure.items()}
+    return _subsets(values, every, common)
+
+
+def _least_ade_m(table: PredictionTable, rows: IntArray, common: ScoredSamples) -> FloatArray:
+    """[S] of the best mode; those of probability 0 are no answers, nor is padding."""
+    if not len(rows):
+        return np.zeros(0)
+    away_m = np.linalg.norm(table.xy_m[rows] - common.future_xy_m[:, None], axis=3).mean(axis=2)
+    least: FloatArray = np.where(table.mode_probability[rows] > 0.0, away_m, np.inf).min(axis=1)
+    return least
 
 
 def _goals(
-    run: Run, table: PredictionTable, rows: IntArray, common: _Samples
+    run: Run, table: PredictionTable, rows: IntArray, common: ScoredSamples
 ) -> dict[tuple[str, str], _Measured]:
     given: BoolArray = np.asarray(table.goal_mask[rows].any(axis=1))
-    mean_m = (table.goal_weight[rows] * table.goal_mean_m[rows]).sum(axis=1)
-    error_m = np.where(given, np.abs(mean_m - common.goal_m), 0.0)
-    _check_finite(run, table, rows, error_m, "goals")
-    return _subsets("goal_error", error_m, given, common)
+    weight, mean_m = table.goal_weight[rows], table.goal_mean_m[rows]
+    std_m = table.goal_std_m[rows]
+    error_m = np.where(given, np.abs((weight * mean_m).sum(axis=1) - common.goal_m), 0.0)
+    _check_finite(run, table, rows, error_m + (weight * std_m).sum(axis=1), "goals")
+    # Inside the central interval is where the mixture's distribution function is near one half;
+    # a component without width is a step there, whose middle is its mean.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.nan_to_num((common.goal_m[:, None] - mean_m) / std_m)
+    off_centre = np.abs((weight * ndtr(z)).sum(axis=1) - 0.5)
+    covered = {name: off_centre <= share / 2.0 for name, share in COVERED.items()}
+    return _subsets({"goal_error": error_m, **covered}, given, common)
 
 
 def _check_finite(
@@ -234,13 +218,14 @@ def _check_finite(
 
 
 def _subsets(
-    measure: str, value: FloatArray, given: BoolArray, common: _Samples
+    values: Mapping[str, NDArray[Any]], given: BoolArray, common: ScoredSamples
 ) -> dict[tuple[str, str], _Measured]:
     """Means over all and over moving samples, of those given."""
-    moving = given & (common.goal_m > MOVING_M)
+    of_subset = {"all": given, "moving": given & common.moving}
     return {
-        (measure, "all"): _mean(value[given], common.vehicle[given]),
-        (measure, "moving"): _mean(value[moving], common.vehicle[moving]),
+        (measure, subset): _mean(value[chosen], common.vehicle[chosen])
+        for measure, value in values.items()
+        for subset, chosen in of_subset.items()
     }
 
 
@@ -269,6 +254,8 @@ def _slots(run: Run, table: PredictionTable, rows: IntArray) -> dict[tuple[str, 
     probability = np.where(table.slot_in_focus[rows], table.slot_probability[rows], -1.0)
     answer, confidence = probability.argmax(axis=1), probability.max(axis=1)
     right = answer == label
+    taken = np.arange(probability.shape[1]) == label[:, None]
+    brier = np.where(table.slot_in_focus[rows], (probability - taken) ** 2, 0.0).sum(axis=1)
     yields, passes = label == 0, label > 0
     f1_terms = [
         *(right & yields, yields, answer == 0),
@@ -280,6 +267,7 @@ def _slots(run: Run, table: PredictionTable, rows: IntArray) -> dict[tuple[str, 
     ece_terms = np.column_stack([np.ones(len(rows)), gaps])
     return measures | {
         ("slot_accuracy", "all"): _mean(right, vehicle),
+        ("slot_brier", "all"): _mean(brier, vehicle),
         ("yield_base_rate", "all"): _mean(yields, vehicle),
         ("slot_macro_f1", "all"): _Measured(
             np.column_stack(f1_terms).astype(np.float64), vehicle, intervals.macro_f1
@@ -293,23 +281,25 @@ def _mean(value: NDArray[Any], vehicle: IntArray) -> _Measured:
     return _Measured(terms, vehicle, intervals.ratio)
 
 
-def _pooled(
-    parts: Sequence[_Measured | None], clusters: Sequence[IntArray]
-) -> tuple[float | None, int, tuple[float, float] | None]:
-    """(value, n, interval) of a measure over runs; `parts` has None where a run has no value.
+def _pooled(parts: Sequence[_Measured | None], of_vehicles: Sequence[IntArray]) -> dict[str, Any]:
+    """Value, n, interval and deviation of a measure over runs, as fields of a `Score`.
 
-    `clusters` [V] are those of the vehicles of each run.
+    `parts` has None where a run has no value; `of_vehicles` [V] are the clusters of the vehicles
+    of each run.
     """
+    nothing = {"value": None, "n": 0, "low": None, "high": None, "std": None}
     present = [(number, part) for number, part in enumerate(parts) if part is not None]
     if not present:
-        return None, 0, None
+        return nothing
     statistic = present[0][1].statistic
     terms = np.concatenate([part.terms for _, part in present])
     cluster = np.concatenate(
-        [(number << 32) + clusters[number][part.vehicle] for number, part in present]
+        [(number << 32) + of_vehicles[number][part.vehicle] for number, part in present]
     )
     sums = intervals.cluster_sums(terms, cluster)
     value = float(statistic(sums.sum(axis=0)))
     if not np.isfinite(value):
-        return None, 0, None
-    return value, len(terms), intervals.interval(sums, statistic)
+        return nothing
+    low, high = intervals.interval(sums, statistic) or (None, None)
+    std = float(terms[:, 0].std()) if statistic is intervals.ratio else None
+    return {"value": value, "n": len(terms), "low": low, "high": high, "std": std}

@@ -1,0 +1,43 @@
+"""The predictors that a command names."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hatn_sim.datatypes import Predictor
+
+
+def load_predictors(
+    names: Sequence[str], weights: Path | None, adapt: str, quiet: bool
+) -> list[Predictor]:
+    """All of them, each once.
+
+    Raises InputError where there is no such predictor, where `weights` or `adapt` are for none of
+    them, and where two call themselves the same.
+    """
+    from hatn_sim.errors import InputError
+    from hatn_sim.predictors.find import PAPER, READS_WEIGHTS, load_predictor, weights_of
+
+    wanted = dict.fromkeys(names)
+    given = None if weights is None else f"--weights {weights}"
+    given = f"--adapt {adapt}" if given is None and adapt != "none" else given
+    if given is not None and READS_WEIGHTS.isdisjoint(wanted):
+        raise InputError(f"{given}: {', '.join(wanted)} cannot use it; leave it out, or add hatn")
+    if not quiet and PAPER in wanted and weights is not None:
+        beside = weights.with_stem(f"{weights.stem}-paper")
+        if weights_of(PAPER, weights) != beside:
+            print(
+                f"hatn-sim: {PAPER}: {beside.name} is not beside {weights}; "
+                "predicting with the weights of the paper's form that ship",
+                file=sys.stderr,
+            )
+    predictors = [load_predictor(name, weights, adapt) for name in wanted]
+    called = [predictor.name for predictor in predictors]
+    for name in called:
+        if called.count(name) > 1:
+            raise InputError(f"two predictors call themselves {name!r}; give one another name")
+    return predictors

@@ -1,0 +1,237 @@
+"""`hatn-sim evaluate`: several predictors on the same samples of many runs."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from argparse import Namespace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from hatn_sim.commands.evaluate import DURATION_S, HELD_OUT, PREDICTORS, chosen_scenarios
+
+if TYPE_CHECKING:
+    from hatn_sim.config import RecordedSource, Scenario
+    from hatn_sim.datatypes import Predictor
+    from hatn_sim.evaluation.runs import RunPlan
+    from hatn_sim.log import Run
+
+RUNS_FOLDER: Final = "runs"
+STEPS_FILE: Final = "steps.csv"
+FIGURES: Final = ("steps.png", "steps.pdf")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Make the runs, score them, print, draw."""
+    from hatn_sim.commands.console import make_console
+    from hatn_sim.report.steps_figure import draw_steps, write_steps
+    from hatn_sim.report.table import score_table, scores_json, write_scores
+    from hatn_sim.score.prediction import score_runs
+    from hatn_sim.score.steps import errors_by_step
+
+    arguments.predictors = arguments.predictors or PREDICTORS
+    out = free_or_own_folder(arguments.out, "evaluate")
+    logged = make_runs(arguments, out)
+    scores, steps = score_runs(logged), errors_by_step(logged)
+    path = write_scores(out, scores)
+    write_steps(out / STEPS_FILE, steps)
+    draw_steps(steps, [out / name for name in FIGURES])
+    if arguments.json:
+        print(scores_json(scores))
+        return 0
+    make_console().print(score_table(scores, said_clusters(logged)))
+    print(f"scores in {path}, error by step in {out / STEPS_FILE} and {out / FIGURES[0]}")
+    print(f"runs in {out / RUNS_FOLDER}")
+    return 0
+
+
+def make_runs(arguments: argparse.Namespace, out: Path) -> list[Run]:
+    """The logs of all runs that are asked for, made where they are not there; by scene.
+
+    Raises HatnSimError, and KeyboardInterrupt, where one of them fails; the others stay.
+    """
+    from hatn_sim.commands.chosen_predictors import load_predictors
+    from hatn_sim.errors import HatnSimError
+    from hatn_sim.evaluation.runs import is_there
+    from hatn_sim.log import read_run
+
+    predictors = load_predictors(
+        arguments.predictors, arguments.weights, arguments.adapt, arguments.quiet
+    )
+    plans = list(_plans(arguments, predictors, out))
+    there = [is_there(plan) for plan in plans]
+    if any(there) and not arguments.quiet:
+        said = f"hatn-sim: {sum(there)} of {len(plans)} runs are in {out / RUNS_FOLDER} already"
+        print(said, file=sys.stderr)
+    wanted = [plan for plan, made in zip(plans, there, strict=True) if not made]
+    stays = f"finished runs stay in {out}, and the same command with --out {out} uses them"
+    try:
+        _make(wanted, arguments.workers or _cores(), arguments.quiet)
+    except HatnSimError as error:
+        raise type(error)(f"{error}; {stays}" if out.exists() else str(error)) from None
+    except KeyboardInterrupt:
+        if out.exists():
+            print(f"hatn-sim: {stays}", file=sys.stderr)
+        raise
+    return [read_run(plan.out) for plan in plans]
+
+
+def _make(plans: Sequence[RunPlan], workers: int, quiet: bool) -> None:
+    from hatn_sim.commands.progress import RunsProgress
+    from hatn_sim.datatypes import DT_S
+    from hatn_sim.evaluation.pool import work_on
+    from hatn_sim.evaluation.runs import make_run
+
+    told: dict[str, None] = {}
+    labels, frames = [plan.label for plan in plans], [plan.frames for plan in plans]
+    with RunsProgress(labels, frames, DT_S, quiet) as progress:
+        for number, made in work_on(make_run, plans, workers, progress.show):
+            progress.finish(number, made.frames)
+            told |= {f"{plans[number].scenario.name}: {line}": None for line in made.notices}
+    if not quiet:
+        for line in told:
+            print(f"hatn-sim: {line}", file=sys.stderr)
+
+
+def _plans(
+    arguments: argparse.Namespace, predictors: Sequence[Predictor], out: Path
+) -> Iterator[RunPlan]:
+    """Every seed of every scene, and every recording."""
+    from hatn_sim.errors import InputError
+
+    scenarios = {
+        label: replace(scenario, name=label)
+        for label, scenario in chosen_scenarios(arguments).items()
+    }
+    recorded = [scenario.recorded is not None for scenario in scenarios.values()]
+    if all(recorded) and arguments.seeds is not None:
+        raise InputError("--seeds: recorded traffic has no seed; leave it out")
+    for scenario in scenarios.values():
+        if scenario.recorded is None:
+            for seed in arguments.seeds or HELD_OUT:
+                label = f"{scenario.name}, seed {seed}"
+                yield _plan(arguments, predictors, scenario, seed, label, out)
+        else:
+            for name, one in _recordings(arguments, scenario, scenario.recorded).items():
+                label = f"{scenario.name}, {name}"
+                yield _plan(arguments, predictors, one, None, label, out)
+
+
+def _recordings(
+    arguments: argparse.Namespace, scenario: Scenario, source: RecordedSource
+) -> Mapping[str, Scenario]:
+    from hatn_sim.errors import InputError
+    from hatn_sim.recordings.find import single_recordings
+
+    if arguments.lines == "route" and source.map_path is not None:
+        raise InputError("--lines route: recorded tracks know no routes; leave it out")
+    return {
+        name: replace(scenario, recorded=one) for name, one in single_recordings(source).items()
+    }
+
+
+def _plan(
+    arguments: argparse.Namespace,
+    predictors: Sequence[Predictor],
+    scenario: Scenario,
+    seed: int | None,
+    label: str,
+    out: Path,
+) -> RunPlan:
+    from hatn_sim.commands.options import default_warm_up_s
+    from hatn_sim.commands.run_header import make_header
+    from hatn_sim.evaluation.runs import RunPlan
+    from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+
+    duration_s: float | None = arguments.duration
+    if duration_s is None and seed is not None:
+        duration_s = DURATION_S
+    warm_up_s = default_warm_up_s(scenario) if arguments.warm_up is None else arguments.warm_up
+    run = _as_run(arguments, scenario, seed, duration_s, warm_up_s)
+    header = make_header(run, scenario, predictors)
+    return RunPlan(
+        label=label,
+        out=out / RUNS_FOLDER / re.sub(r"[^\w.-]+", "-", label),
+        scenario=scenario,
+        seed=seed,
+        warm_up_s=warm_up_s,
+        duration_s=duration_s,
+        predictors=arguments.predictors,
+        weights=arguments.weights,
+        adapt=arguments.adapt,
+        lines=arguments.lines,
+        header={**header, "predicted_every_frames": SAMPLE_EVERY_FRAMES},
+    )
+
+
+def _as_run(
+    arguments: argparse.Namespace,
+    scenario: Scenario,
+    seed: int | None,
+    duration_s: float | None,
+    warm_up_s: float,
+) -> Namespace:
+    """The arguments of the `hatn-sim run` that makes the same scores."""
+    from hatn_sim.commands.options import SIMULATORS_OWN
+
+    source = scenario.recorded
+    return Namespace(
+        scene=None if source is not None else _word(arguments, scenario),
+        tracks=None if source is None else [str(path) for path in source.tracks],
+        map=None if source is None else source.map_path,
+        recordings=None if source is None or not source.recordings else ",".join(source.recordings),
+        seed=seed,
+        duration=duration_s,
+        warm_up=warm_up_s,
+        predictor=arguments.predictors[0],
+        compare=arguments.predictors[1:],
+        weights=arguments.weights,
+        adapt=arguments.adapt,
+        lines=arguments.lines,
+        egos=None,
+        net=None,
+        react_from=None,
+        drive=None,
+        agent=SIMULATORS_OWN,
+    )
+
+
+def _word(arguments: argparse.Namespace, scenario: Scenario) -> str:
+    """What the user named the scene by."""
+    path = scenario.config_path
+    named = {str(path), str(path.parent), scenario.name}
+    return next((word for word in arguments.scenes if word in named), scenario.name)
+
+
+def said_clusters(runs: Sequence[Run]) -> str:
+    """What the intervals are over, in the words of the user."""
+    from hatn_sim.score.samples import clustered_over
+
+    over = clustered_over(runs)
+    seeded = {run.header.get("seed") is not None for run in runs}
+    if over != "runs" or len(seeded) > 1:
+        return over
+    return "seeds" if True in seeded else "recordings"
+
+
+def free_or_own_folder(out: Path | None, name: str) -> Path:
+    """Where everything goes; not made yet. Raises InputError where a file is in its place."""
+    from hatn_sim.errors import InputError
+
+    number = 1
+    while out is None:
+        folder = Path("runs") / f"{name}-{number}"
+        out = None if folder.exists() else folder
+        number += 1
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder, found a file; choose another --out")
+    return out
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

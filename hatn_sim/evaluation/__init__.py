@@ -1,0 +1,1 @@
+"""Many runs at once, and the tables of the paper beside ours."""

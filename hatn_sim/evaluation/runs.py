@@ -1,0 +1,155 @@
+"""A run to be scored: perceived at 10 Hz, predicted on scored frames only, logged as any other."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from hatn_sim.config import Scenario
+from hatn_sim.datatypes import DT_S, Advice, Frame
+from hatn_sim.errors import HatnSimError, InputError, SimulatorError
+from hatn_sim.evaluation.pool import Teller
+from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+from hatn_sim.log import RunWriter, read_run
+from hatn_sim.log.road_file import ROAD_FILE, write_road
+from hatn_sim.log.schema import RUN_FILE
+from hatn_sim.loop import Adviser, LineSource, run, warm_up
+from hatn_sim.predictors.find import load_predictor
+from hatn_sim.traffic import ids_by, open_traffic
+
+FOUND_OUT: Final = "ids_by"
+"""Of a header's settings: known once the traffic has been opened."""
+UNCOMPARED: Final = ("command",)
+"""Keys of a header that may differ in a run that is used again."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunPlan:
+    """A run that is wanted; a process of its own can make it."""
+
+    label: str  # what it is called in progress and errors
+    out: Path
+    scenario: Scenario
+    seed: int | None  # None: of recorded traffic
+    warm_up_s: float
+    duration_s: float | None  # None: all of a recording
+    predictors: tuple[str, ...]
+    weights: Path | None
+    adapt: str
+    lines: LineSource
+    header: Mapping[str, Any]  # of its run.json
+
+    @property
+    def frames(self) -> int | None:
+        """How many are wanted; None: to the end."""
+        return None if self.duration_s is None else max(1, round(self.duration_s / DT_S))
+
+
+@dataclass(frozen=True)
+class Made:
+    """What is to be told of a run that has been made."""
+
+    frames: int
+    notices: tuple[str, ...]
+
+
+def is_there(plan: RunPlan) -> bool:
+    """Whether the run has been made already, and finished.
+
+    Raises InputError where something else is in its place.
+    """
+    if not plan.out.exists():
+        return False
+    if not (plan.out / RUN_FILE).is_file() and any(plan.out.iterdir()):
+        raise InputError(f"{plan.out}: expected a run of this evaluation; choose another --out")
+    if not (plan.out / RUN_FILE).is_file():
+        return False
+    there = read_run(plan.out)
+    if not there.finished:
+        return False
+    found, wanted = _comparable(there.header), _comparable(plan.header)
+    differing = [key for key in wanted if found.get(key) != wanted[key]]
+    if differing:
+        key = differing[0]
+        raise InputError(
+            f"{plan.out}: was made otherwise: expected {key} {wanted[key]}, found "
+            f"{found.get(key)}; choose another --out"
+        )
+    made_at = (plan.out / RUN_FILE).stat().st_mtime
+    newer = [path for path in _sources(plan) if path.stat().st_mtime > made_at]
+    if newer:
+        raise InputError(f"{plan.out}: is older than {newer[0]}; choose another --out")
+    return True
+
+
+def _comparable(header: Mapping[str, Any]) -> dict[str, Any]:
+    """A header as JSON gives it back, flat, without what may differ."""
+    plain: dict[str, Any] = json.loads(json.dumps(dict(header)))
+    settings = plain.pop("settings", {})
+    settings.pop(FOUND_OUT, None)
+    for key in UNCOMPARED:
+        plain.pop(key, None)
+    return plain | {f"settings.{key}": value for key, value in settings.items()}
+
+
+def _sources(plan: RunPlan) -> list[Path]:
+    """The user's own files that the traffic is made from."""
+    recorded = plan.scenario.recorded
+    if recorded is None:
+        return [plan.scenario.config_path] if plan.scenario.is_user_config else []
+    paths = [*recorded.tracks, *([] if recorded.map_path is None else [recorded.map_path])]
+    return [path for path in paths if path.is_file()]
+
+
+def make_run(plan: RunPlan, teller: Teller) -> Made:
+    """Simulate or play, predict, log. What is left of a run that was broken off is made anew.
+
+    Raises HatnSimError, with the run's label, where one of these goes wrong; what was logged until
+    then stays.
+    """
+    try:
+        return _make(plan, teller)
+    except SimulatorError as error:
+        command = plan.header["command"]
+        raise SimulatorError(f"{plan.label}: {error}; repeat with `{command}`") from None
+    except HatnSimError as error:
+        raise type(error)(f"{plan.label}: {error}") from None
+
+
+def _make(plan: RunPlan, teller: Teller) -> Made:
+    shutil.rmtree(plan.out, ignore_errors=True)
+    advisers = [
+        # Nobody is advised: suggestions and alerts are not what is scored.
+        Adviser(load_predictor(name, plan.weights, plan.adapt), plan.lines, frozenset())
+        for name in plan.predictors
+    ]
+    with closing(open_traffic(plan.scenario)) as simulator:
+        first = simulator.reset(plan.seed or 0)
+        first = warm_up(simulator, first, round(plan.warm_up_s / simulator.dt_s))
+        settings = {**plan.header["settings"], FOUND_OUT: ids_by(simulator)}
+        total = plan.frames
+        with RunWriter(plan.out, {**plan.header, "settings": settings}) as writer:
+            write_road(plan.out / ROAD_FILE, simulator.road.lanes.values())
+
+            def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
+                teller.tell(index)
+                writer.write(index, frame, advice)
+
+            frames = run(
+                simulator,
+                advisers,
+                first,
+                sys.maxsize if total is None else total,
+                write,
+                every_frames=SAMPLE_EVERY_FRAMES,
+            )
+        notices = list(simulator.notices)
+    if total is not None and frames < total:
+        notices.append(f"the scene was over after {frames} of {total} steps")
+    return Made(frames, tuple(notices))

@@ -1,0 +1,108 @@
+"""A table of the paper beside ours, for a console."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from hatn_sim.datatypes import Score
+from hatn_sim.evaluation.paper import Cell, PaperTable
+from hatn_sim.evaluation.table import Entry
+
+BESIDE: Final = 2
+"""Measures in one table: more would not fit a hundred columns."""
+NONE: Final = "-"
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How the numbers of a measure are printed."""
+
+    title: str
+    factor: float
+    decimals: int
+
+
+FORMS: Final = {
+    "ade_3s": _Form("ADE 3 s, m", 1.0, 3),
+    "ade_0s3": _Form("ADE 0.3 s, m", 1.0, 3),
+    "fde_3s": _Form("FDE 3 s, m", 1.0, 3),
+    "fde_0s3": _Form("FDE 0.3 s, m", 1.0, 3),
+    "slot_accuracy": _Form("accuracy, %", 100.0, 2),
+    "goal_error": _Form("goal error, m", 1.0, 2),
+    "ade_2_change": _Form("change of ADE 2, %", 100.0, 1),
+}
+
+
+def paper_table(table: PaperTable, entries: Sequence[Entry], clustered_over: str) -> Group:
+    """The entries that `compare` made of a table: for each scene, two measures side by side.
+
+    Mean and deviation over samples, as the paper prints them; below ours, its 95 % interval.
+    """
+    parts: list[Table | Text] = []
+    for scene in dict.fromkeys(entry.scene for entry in entries):
+        of_scene = [entry for entry in entries if entry.scene == scene]
+        for first in range(0, len(table.measures), BESIDE):
+            measures = table.measures[first : first + BESIDE]
+            parts += [_side_by_side(table.title, scene, measures, of_scene), Text()]
+    note = f"paper: {table.source}; ± of samples"
+    if any(entry.ours is not None for entry in entries):
+        note += f"; [low high] 95 % interval, bootstrapped over {clustered_over}"
+    parts.append(Text(note, style="dim"))
+    return Group(*parts)
+
+
+def _side_by_side(
+    title: str, scene: str, measures: Sequence[str], entries: Sequence[Entry]
+) -> Table:
+    scenario = entries[0].paper_scenario
+    like = f"; paper: {scenario}" if scenario is not None and scenario != scene else ""
+    grid = Table(
+        title=f"{title}\n{scene}{like}",
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        padding=(0, 2, 0, 0),
+        pad_edge=False,
+    )
+    grid.add_column("", min_width=12, max_width=20, overflow="fold")
+    for measure in measures:
+        grid.add_column(f"{FORMS[measure].title}\npaper", justify="right", no_wrap=True)
+        grid.add_column("\nours", justify="right", no_wrap=True)
+    grid.add_column("\nn", justify="right", no_wrap=True)
+    for row in dict.fromkeys(entry.row for entry in entries):
+        of_row = {entry.measure: entry for entry in entries if entry.row == row}
+        cells: list[str] = []
+        for measure in measures:
+            form, entry = FORMS[measure], of_row[measure]
+            cells += [_of_paper(entry.paper, form), _of_ours(entry.ours, form)]
+        ours = [of_row[measure].ours for measure in measures]
+        n = max((score.n for score in ours if score is not None), default=0)
+        grid.add_row(row.replace("_", " "), *cells, f"{n:,}" if n else NONE)
+    return grid
+
+
+def _of_paper(cell: Cell | None, form: _Form) -> str:
+    return NONE if cell is None else _number(cell.mean, cell.std, form.factor, cell.decimals)
+
+
+def _of_ours(score: Score | None, form: _Form) -> str:
+    if score is None or score.value is None:
+        return NONE
+    text = _number(score.value, score.std, form.factor, form.decimals)
+    if score.low is not None and score.high is not None:
+        low, high = (
+            f"{form.factor * value:.{form.decimals}f}" for value in (score.low, score.high)
+        )
+        text += f"\n[{low} {high}]"
+    return text
+
+
+def _number(mean: float, std: float | None, factor: float, decimals: int) -> str:
+    text = f"{factor * mean:.{decimals}f}"
+    return text if std is None else f"{text} ± {factor * std:.{decimals}f}"

@@ -1,0 +1,110 @@
+"""The paper's figure of the error at each predicted step, as PNG, PDF and CSV.
+
+Imports matplotlib, so import this module only where something is drawn.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
+from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.score.steps import StepErrors
+
+COLOURS: Final = (
+    "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8f98",
+)  # fmt: skip
+"""Okabe and Ito's, told apart by the colour-blind, and grey."""
+SUBSETS: Final = {"all": "all samples", "moving": "moving samples"}
+WIDTH_IN: Final = 9.0
+ROW_IN: Final = 3.2
+EDGES_IN: Final = 0.9
+TIMES_S: Final = DT_S * np.arange(1, HORIZON_FRAMES + 1)
+COLUMNS: Final = (
+    "scene", "predictor", "subset", "step", "time_s", "mean_m", "std_m", "low_m", "high_m", "n",
+)  # fmt: skip
+
+
+def write_steps(path: Path, errors: Sequence[StepErrors]) -> None:
+    """One row for each scene, predictor, subset and step; no interval is an empty field."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for one in errors:
+            for step in range(HORIZON_FRAMES):
+                values = (one.mean_m, one.std_m, one.low_m, one.high_m)
+                told = ("" if np.isnan(v[step]) else f"{v[step]:.6f}" for v in values)
+                at = (step + 1, f"{TIMES_S[step]:.1f}")
+                writer.writerow((one.scene, one.predictor, one.subset, *at, *told, one.n))
+
+
+def draw_steps(errors: Sequence[StepErrors], paths: Sequence[Path], subset: str = "moving") -> None:
+    """Draw a row for each scene: linear axes as in the paper, and logarithmic ones.
+
+    Bands are 95 % intervals. The format of a file is what its suffix names.
+    """
+    shown = [one for one in errors if one.subset == subset]
+    scenes = list(dict.fromkeys(one.scene for one in shown)) or [""]
+    names = list(dict.fromkeys(one.predictor for one in shown))
+    colour = {name: COLOURS[number % len(COLOURS)] for number, name in enumerate(names)}
+    figure = Figure(
+        figsize=(WIDTH_IN, EDGES_IN + ROW_IN * len(scenes)), dpi=160, layout="constrained"
+    )
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(scenes), 2, squeeze=False)
+    for row, scene in zip(grid, scenes, strict=True):
+        of_scene = [one for one in shown if one.scene == scene]
+        for axes, scale in zip(row, ("linear", "log"), strict=True):
+            axes.set_xscale(scale)
+            axes.set_yscale(scale)
+            for one in of_scene:
+                _curve(axes, one, colour[one.predictor])
+            _dress(axes, scale)
+        n = f", n = {of_scene[0].n:,}" if of_scene else ""
+        row[0].set_title(f"{scene}{n}", loc="left", fontsize=10.5, color=INK)
+        row[0].set_ylabel("mean error, m", color=INK)
+        if of_scene:
+            row[0].legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left")
+    for axes in grid[-1]:
+        axes.set_xlabel("time predicted ahead, s", color=INK)
+    figure.suptitle(
+        f"Error at each predicted step, {SUBSETS[subset]}",
+        x=0.01,
+        ha="left",
+        fontsize=13,
+        color=INK,
+    )
+    for path in paths:
+        # Without the versions and dates that would change the bytes.
+        stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
+        figure.savefig(path, metadata=stamps)
+
+
+def _curve(axes: Axes, one: StepErrors, colour: str) -> None:
+    name = one.predictor.replace("_", " ")
+    axes.plot(TIMES_S, one.mean_m, color=colour, linewidth=1.6, label=name)
+    if np.isfinite(one.low_m).all():
+        axes.fill_between(TIMES_S, one.low_m, one.high_m, color=colour, alpha=0.15, linewidth=0)
+
+
+def _dress(axes: Axes, scale: str) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(colors=SOFT_INK, labelsize=8.5)
+    if scale == "linear":
+        axes.set_xlim(0.0, TIMES_S[-1])
+        axes.set_ylim(bottom=0.0)
+    else:
+        axes.set_xlim(TIMES_S[0], TIMES_S[-1])
+        axes.set_xticks([0.1, 0.3, 1.0, 3.0], ["0.1", "0.3", "1", "3"])
+        axes.minorticks_off()
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.grid(color=SOFT_INK, alpha=0.25, linewidth=0.6)
