@@ -6,21 +6,29 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from hatn_sim import cli
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame
-from hatn_sim.errors import InputError
+from hatn_sim.errors import HatnSimError, InputError
+from hatn_sim.hatn.sgn import SgnSettings
 from hatn_sim.hatn.weights_io import load_weights
 from hatn_sim.learn.augment import free_travel_m, scale_graphs
-from hatn_sim.learn.batches import graph_batch
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
+from hatn_sim.learn.fit import FitSettings
+from hatn_sim.learn.settings import FORMS, TrainingSettings
+from hatn_sim.learn.sgn_training import graph_batch
+from hatn_sim.learn.split import Split, make_split, traffic_of_scenes
 from hatn_sim.learn.train import TrainingPlan, train
+from hatn_sim.learn.watch import Nobody
 from hatn_sim.loop import warm_up
+from hatn_sim.resources import scenarios_dir
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
 
@@ -72,62 +80,126 @@ def test_slots_are_labelled_for_egos_with_a_choice_only(cut: Samples) -> None:
     assert (cut.focus_mask[rows].sum(axis=1) > 1).all()
 
 
-def test_profiles_are_the_way_to_the_goal(cut: Samples) -> None:
-    known = cut.profile_mask.all(axis=-1)
-    np.testing.assert_array_equal(known, cut.goal_mask)
-    np.testing.assert_array_equal(cut.profile_m[known][:, -1], cut.goal_m[known])
-    assert (np.diff(cut.profile_m[known], prepend=0.0) >= 0).all()
-    # The ego's own, against its future on its line: metres driven and metres along it.
-    own = cut.future_mask.all(axis=1) & known[:, 0]
-    np.testing.assert_allclose(cut.profile_m[own, 0], cut.future[own, 4::5, 0], atol=0.6)
+@pytest.fixture(scope="module")
+def split() -> Split:
+    """Of names alone: `few_samples` stands in for its traffic."""
+    parts = {
+        "train": traffic_of_scenes(["intersection4_allway"], [1]),
+        "tune": traffic_of_scenes(["intersection4_allway"], [2]),
+    }
+    return make_split(parts)
 
 
-def test_who_passes_crosses_and_who_yields_crosses_later(cut: Samples) -> None:
-    passes, yields = (cut.crossing_mask & rows for rows in (cut.slot > 0, cut.slot == 0))
-    assert cut.crossing_mask[cut.slot > 0].all()
-    assert cut.crossing_s[passes].max() <= 5.0
-    assert cut.crossing_s[yields].mean() > cut.crossing_s[passes].mean()
+@pytest.fixture
+def few_samples(monkeypatch: pytest.MonkeyPatch, cut: Samples) -> None:
+    monkeypatch.setattr("hatn_sim.learn.train.gather", lambda *_: cut)
 
 
-def test_a_training_writes_weights_and_a_card_and_repeats_itself(tmp_path: Path) -> None:
-    plan = TrainingPlan(
-        scenes=("intersection4_allway",),
-        seeds=(1,),
-        tune_seeds=(2,),
-        duration_s=20.0,
-        sgn_epochs=1,
-        edn_epochs=1,
-        workers=1,
-    )
-    said: list[str] = []
-    cards = []
-    for name in ("a", "b"):
-        out = tmp_path / f"{name}.safetensors"
-        cards.append(train(plan, out, "hatn-sim train ...", said.append))
+QUICK = FitSettings(epochs=2, batch=16)
+SMALL = TrainingSettings(
+    SgnSettings(width=8), replace(FORMS["hatn"].edn, width=8), sgn_fit=QUICK, edn_fit=QUICK
+)
+
+
+class Stopping(Nobody):
+    """Interrupts a training at a step of a network."""
+
+    def __init__(self, name: str, step: int) -> None:
+        self._name, self._step = name, step
+
+    def step(self, stage: str, done: int, total: int, words: str) -> None:
+        if (stage, done) == (self._name, self._step):
+            raise KeyboardInterrupt
+
+
+def make_plan(split: Split, form: str = "hatn", **more: Any) -> TrainingPlan:
+    return TrainingPlan(split, {form: SMALL}, command="hatn-sim train ...", **more)
+
+
+@pytest.mark.usefixtures("few_samples")
+def test_a_training_writes_weights_and_a_card_and_repeats_itself(
+    tmp_path: Path, split: Split, cut: Samples
+) -> None:
+    cards = [train(make_plan(split), tmp_path / f"{name}.safetensors")["hatn"] for name in "ab"]
     assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
-    assert (
-        cards[0]
-        == cards[1]
-        == {
-            key: value
-            for key, value in json.loads((tmp_path / "a.json").read_text()).items()
-            if key in cards[0]
-        }
-    )
-    assert cards[0]["seeds"] == [1]
-    assert cards[0]["samples"] > 100
-    assert any(line.startswith("EDN epoch 1 of 1") for line in said)
+    written = json.loads((tmp_path / "a.json").read_text())
+    assert cards[0] == cards[1] == {key: written[key] for key in cards[0]}
+    assert cards[0]["split"]["tune"][0]["seeds"] == [2]
+    assert cards[0]["samples"] == len(cut)
+    assert set(cards[0]["tune_figures"]) >= {"goal_error_m", "ade_3s_m"}
     weights = load_weights(tmp_path / "a.safetensors")
     assert all(torch.isfinite(value).all() for value in weights.sgn.state_dict().values())
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "a.json",
+        "a.safetensors",
+        "b.json",
+        "b.safetensors",
+    ]
 
 
-def test_seeds_that_overlap_are_refused(tmp_path: Path) -> None:
-    plan = TrainingPlan(("intersection5",), (1, 2), (2, 3), 10.0)
-    with pytest.raises(InputError, match=r"--seeds and --tune share \[2\]"):
-        train(plan, tmp_path / "w.safetensors", "", print)
+@pytest.mark.usefixtures("few_samples")
+@pytest.mark.parametrize("stopped", [("SGN", 3), ("SGN", 15), ("EDN", 1), ("EDN", 15)])
+def test_a_training_that_was_stopped_goes_on_to_the_same_weights(
+    tmp_path: Path, split: Split, cut: Samples, stopped: tuple[str, int]
+) -> None:
+    assert 10 <= -(-len(cut) // QUICK.batch) < 15
+    train(make_plan(split), tmp_path / "whole.safetensors")
+    out = tmp_path / "w.safetensors"
+    with pytest.raises(KeyboardInterrupt):
+        train(make_plan(split), out, Stopping(*stopped))
+    assert not out.exists()
+    with pytest.raises(InputError, match=r"w\.progress: is of a training with other torch_seed; "):
+        train(make_plan(split, seed=5), out)
+    train(make_plan(split), out)
+    assert out.read_bytes() == (tmp_path / "whole.safetensors").read_bytes()
+    assert not (tmp_path / "w.progress").exists()
 
 
-SHORT = ("train", "--scenes", "intersection4_allway", "--seeds", "1", "--tune", "2", "--quiet")
+@pytest.mark.usefixtures("few_samples")
+def test_both_forms_and_the_one_that_is_there_already_is_kept(tmp_path: Path, split: Split) -> None:
+    paper = replace(SMALL, edn=replace(FORMS["paper"].edn, width=8))
+    plan = replace(make_plan(split), forms={"hatn": SMALL, "paper": paper})
+    out = tmp_path / "w.safetensors"
+    with pytest.raises(KeyboardInterrupt):
+        train(plan, out, Stopping("paper SGN", 1))
+    first = out.stat().st_mtime_ns
+    cards = train(plan, out)
+    assert out.stat().st_mtime_ns == first
+    assert [card["form"] for card in cards.values()] == ["hatn", "paper"]
+    assert load_weights(tmp_path / "w-paper.safetensors").edn.settings.decoder == "plain"
+
+
+@pytest.mark.usefixtures("few_samples")
+@pytest.mark.parametrize("network", ["sgn", "edn"])
+def test_the_last_good_weights_are_written_where_a_loss_is_lost(
+    tmp_path: Path, split: Split, cut: Samples, monkeypatch: pytest.MonkeyPatch, network: str
+) -> None:
+    """The goals, or the futures, of the samples turn to nonsense in the second epoch."""
+    calls = 0
+    steps = -(-len(cut) // QUICK.batch)
+    module = "sgn_training.random_scale" if network == "sgn" else "edn_training.random_scale"
+
+    def spoiled(count: int) -> torch.Tensor:
+        nonlocal calls
+        calls += 1
+        return torch.full((count,), float("nan") if calls == steps + 2 else 1.0)
+
+    monkeypatch.setattr(f"hatn_sim.learn.{module}", spoiled)
+    out = tmp_path / "w.safetensors"
+    with pytest.raises(HatnSimError) as lost:
+        train(make_plan(split), out)
+    kept = out if network == "edn" else tmp_path / "w.progress" / "w-sgn.safetensors"
+    assert str(lost.value) == (
+        f"training {network.upper()}: the loss became nan at step {steps + 2}, in epoch 2: train "
+        f"with a smaller learning_rate; the weights of epoch 1 are kept, in {kept}"
+    )
+    assert all(torch.isfinite(value).all() for value in load_file(kept).values())
+    if network == "edn":
+        assert load_weights(out).card["stopped"].startswith("training EDN: the loss became nan")
+
+
+def run_train(*words: object) -> int:
+    return cli.main(["train", "--quiet", "--cache", "none", *map(str, words)])
 
 
 @pytest.fixture
@@ -135,12 +207,15 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Runs `hatn-sim train`, which has to fail with exit code 2, and gives the one line it says."""
 
     def run(*words: object) -> str:
-        assert cli.main([*SHORT, *map(str, words)]) == 2
+        assert run_train(*words) == 2
         lines = capsys.readouterr().err.splitlines()
         assert len(lines) == 1
-        return lines[0]
+        return lines[0].removeprefix("hatn-sim: ")
 
     return run
+
+
+SHORT = ("--scenes", "intersection4_allway", "--seeds", "1", "--tune", "2")
 
 
 @pytest.fixture
@@ -150,7 +225,7 @@ def no_traffic(monkeypatch: pytest.MonkeyPatch) -> None:
     def simulate(*_: object) -> Samples:
         raise AssertionError("simulated")
 
-    monkeypatch.setattr("hatn_sim.learn.train.collect", simulate)
+    monkeypatch.setattr("hatn_sim.learn.train.gather", simulate)
 
 
 @pytest.mark.usefixtures("no_traffic")
@@ -159,58 +234,113 @@ def test_a_place_that_cannot_be_written_is_found_before_simulating(
 ) -> None:
     (tmp_path / "file").touch()
     out = tmp_path / "file" / "x.safetensors"
-    assert refused("--out", out).startswith(f"hatn-sim: weights {out}: cannot be written there: ")
+    assert refused(*SHORT, "--out", out).startswith(f"weights {out}: cannot be written there: ")
 
 
 @pytest.mark.usefixtures("no_traffic")
-@pytest.mark.parametrize("taken", ["x.safetensors", "x.json"])
+@pytest.mark.parametrize("taken", ["x.safetensors", "x.json", "x-paper.safetensors"])
 def test_nothing_is_overwritten(tmp_path: Path, refused: Callable[..., str], taken: str) -> None:
     (tmp_path / taken).touch()
-    assert f"{taken} exists already" in refused("--out", tmp_path / "x.safetensors")
+    out = tmp_path / "x.safetensors"
+    assert f"{taken} exists already" in refused(*SHORT, "--form", "both", "--out", out)
+
+
+TRACKS = ("--tracks", "{sample}/vehicle_tracks_000.csv", "--map", "{sample}/map.osm")
 
 
 @pytest.mark.usefixtures("no_traffic")
-@pytest.mark.parametrize("seed", [-1, 2**64])
-def test_seeds_of_no_generator_are_refused(
-    tmp_path: Path, refused: Callable[..., str], seed: int
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--torch-seed", "-1"), "--torch-seed -1: expected 0 or more"),
+        (("--torch-seed", str(2**64)), f"--torch-seed {2**64}: expected 0 or more"),
+        (("--risks", ","), "--scenes, --risks, --seeds and --tune: expected at least one of each"),
+        (("--seeds", "1-3", "--tune", "3"), "--seeds and --tune share seed 3 of intersection5: "),
+        (("--seeds", "x"), "--seeds: expected seeds like 7, 1-12 or 1-4,9, found 'x'"),
+        (("--recordings", "000"), "--recordings goes with --tracks; leave it out"),
+        ((*TRACKS, "--seeds", "1"), "--seeds is for scenes; leave it out with --tracks"),
+        (TRACKS, "--tracks: add --recordings 000-014, those to learn from and to tune on"),
+        (
+            (*TRACKS, "--recordings", "0", "--tune", "000"),
+            "--recordings and --tune share {sample}/vehicle_tracks_000.csv: what is learnt from",
+        ),
+        (("--split", "no.toml"), "no.toml: cannot be read: No such file or directory"),
+        (("--split", "no.toml", "--tune", "1"), "--tune: --split names all traffic; leave one of"),
+        (("--settings", "{tmp}/a.toml"), "{tmp}/a.toml: unknown setting 'sgn.widht'; did you mean"),
+        (("--settings", "{tmp}/b.toml"), "{tmp}/b.toml: edn.width: expected a whole number from"),
+        (("--settings", "{tmp}/c.toml"), "{tmp}/c.toml: unknown table 'fit'; did you mean '"),
+        (("--sweep", "{tmp}/a.toml"), "{tmp}/a.toml: unknown setting 'sgn.widht'; did you mean "),
+    ],
+)
+def test_words_that_are_wrong(
+    tmp_path: Path, refused: Callable[..., str], words: tuple[str, ...], expected: str
 ) -> None:
-    said = refused("--out", tmp_path / "x.safetensors", "--torch-seed", seed)
-    assert said.startswith(f"hatn-sim: --torch-seed {seed}: expected 0 or more")
+    (tmp_path / "a.toml").write_text("[sgn]\nwidht = [3]\n")
+    (tmp_path / "b.toml").write_text("[edn]\nwidth = 0.5\n")
+    (tmp_path / "c.toml").write_text("[fit]\nbatch = 1\n")
+    places = {"tmp": tmp_path, "sample": scenarios_dir() / "recorded_sample"}
+    said = refused(*(word.format(**places) for word in words), "--out", tmp_path / "x.safetensors")
+    assert said.startswith(expected.format(**places))
+    assert not (tmp_path / "x.progress").exists()
 
 
 @pytest.mark.usefixtures("no_traffic")
-def test_nothing_to_learn_from_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
-    assert "at least one of each" in refused("--out", tmp_path / "x.safetensors", "--risks", ",")
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is such a device")
+def test_a_device_that_is_not_there(tmp_path: Path, refused: Callable[..., str]) -> None:
+    said = refused(*SHORT, "--device", "cuda", "--out", tmp_path / "x.safetensors")
+    assert said == "--device cuda: torch finds no such device here; leave it out"
 
 
 def test_traffic_too_short_for_a_sample_is_an_error(
     tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     """Half a second is six frames; a history has eleven."""
-    said = refused("--out", tmp_path / "x.safetensors", "--duration", "0.5", "--workers", "1")
-    assert said == (
-        "hatn-sim: --seeds: too little to learn from in 0.5 s a seed: 0 samples, 0 with a known "
-        "goal, 0 with a whole path, 0 with a choice of slots; raise --duration"
+    out = tmp_path / "x.safetensors"
+    assert refused(*SHORT, "--out", out, "--duration", "0.5", "--workers", "1") == (
+        "traffic to train: too little to learn from: 0 samples, 0 with a known goal, 0 with a "
+        "whole path, 0 with a choice of slots, in 1 piece of traffic; give longer ones or more"
     )
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("missing", ["goal", "path", "slot"])
 def test_samples_that_know_nothing_are_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: Samples, missing: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: Samples, split: Split, missing: str
 ) -> None:
-    """Enough in --seeds, and then every label of one kind gone from --tune."""
+    """Enough to learn from, and then every label of one kind gone from what tunes."""
     without = {
         "goal": replace(cut, goal_mask=np.zeros_like(cut.goal_mask)),
         "path": replace(cut, future_mask=np.zeros_like(cut.future_mask)),
         "slot": replace(cut, slot=np.full_like(cut.slot, -1)),
     }
     found = iter([cut, without[missing]])
-    monkeypatch.setattr("hatn_sim.learn.train.collect", lambda *_: next(found))
-    plan = TrainingPlan(("intersection4_allway",), (1,), (2,), 15.0)
+    monkeypatch.setattr("hatn_sim.learn.train.gather", lambda *_: next(found))
     words = {"goal": "0 with a known", "path": "0 with a whole", "slot": "0 with a choice"}
-    with pytest.raises(InputError, match=rf"--tune: .* {len(cut)} samples, .*{words[missing]}"):
-        train(plan, tmp_path / "x.safetensors", "", print)
+    with pytest.raises(InputError, match=rf"to tune: .* {len(cut)} samples, .*{words[missing]}"):
+        train(make_plan(split), tmp_path / "x.safetensors")
+
+
+def test_the_whole_command_on_recorded_tracks_and_scenes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A split file of both kinds; the card says how, and of nobody's folders."""
+    path = tmp_path / "split.toml"
+    site = scenarios_dir() / "recorded_sample"
+    path.write_text(
+        f"[[train]]\ntracks = '{site}/vehicle_tracks_*.csv'\nmap = '{site}/map.osm'\n"
+        "recordings = '000'\n[[tune]]\nscenes = 'intersection4_allway'\nseeds = 2\n"
+        "duration_s = 15\n"
+    )
+    out = tmp_path / "w.safetensors"
+    assert run_train("--split", path, "--epochs", "1", "--out", out) == 0
+    assert capsys.readouterr().out.startswith(f"{out}: ")
+    text = (tmp_path / "w.json").read_text()
+    card = json.loads(text)
+    assert card["split"]["train"] == [
+        {"site": "recorded_sample", "recordings": ["vehicle_tracks_000.csv"]}
+    ]
+    assert "--split split.toml --epochs 1" in card["command"]
+    assert str(tmp_path) not in text and str(site) not in text
 
 
 def test_a_run_without_a_vehicle_adds_no_sample(

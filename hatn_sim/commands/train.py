@@ -159,7 +159,7 @@ def _split(arguments: argparse.Namespace) -> Split:
         part: traffic_of_tracks(arguments.tracks, arguments.map, wanted)
         for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
     }
-    return make_split(parts, {"train": "--recordings", "tune": "--tune", "test": "test"})
+    return make_split(parts, {"train": "--recordings", "tune": "--tune"})
 
 
 def _split_of_scenes(arguments: argparse.Namespace) -> Split:
@@ -193,7 +193,7 @@ def _split_of_scenes(arguments: argparse.Namespace) -> Split:
                 f"--scenes: {run.name} was made with seed {run.seed}, which is neither in --seeds "
                 "nor in --tune; add it to one"
             )
-    return make_split(parts, {"train": "--seeds", "tune": "--tune", "test": "test"})
+    return make_split(parts, {"train": "--seeds", "tune": "--tune"})
 
 
 def _cache(arguments: argparse.Namespace) -> SampleCache:

@@ -14,7 +14,7 @@ import os
 import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -27,6 +27,7 @@ from hatn_sim.learn.content import content_hash
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.split import Traffic
 from hatn_sim.learn.whole_file import write_whole
+from hatn_sim.recordings.each import own_cases, own_files
 from hatn_sim.resources import PACKAGE_DIR
 from hatn_sim.simulators.sumo_config import FILE_OPTIONS, read_sumocfg
 
@@ -130,14 +131,14 @@ class SampleCache:
 def key_of(traffic: Traffic) -> str:
     """The hash of everything that the samples of some traffic depend on."""
     scenario = traffic.scenario
+    recorded = scenario.recorded
     said = {
-        "scenario": _without_folders(asdict(scenario) | {"card": None, "description": None}),
+        "scenario": _without_folders(asdict(replace(scenario, recorded=None, card={}))),
+        "cases": () if recorded is None else own_cases(recorded),
         "seed": traffic.seed,
         "warm_up_s": traffic.warm_up_s,
         "duration_s": traffic.duration_s,
-        "files": [
-            content_hash(path) for path in (*_files_of(scenario), *traffic.beside) if path.is_file()
-        ],
+        "files": [content_hash(path) for path in _files_of(scenario) if path.is_file()],
         "source": source_version(),
         "versions": {name: _version(name) for name in DEPENDS_ON},
     }
@@ -160,7 +161,7 @@ def _files_of(scenario: Scenario) -> Iterator[Path]:
     """Every file that a scene is read from."""
     if scenario.recorded is not None:
         source = scenario.recorded
-        for path in source.tracks:
+        for path in own_files(source):
             yield from sorted(path.rglob("*.*")) if path.is_dir() else [path]
         if source.map_path is not None:
             yield source.map_path

@@ -9,6 +9,7 @@ bit, as one that was not.
 from __future__ import annotations
 
 import copy
+import io
 import math
 import zlib
 from collections.abc import Callable, Mapping, Sized
@@ -202,13 +203,14 @@ def _save(place: Workplace, name: str, parts: Mapping[str, Any], state: _State) 
     if path is None:
         return
     content = {key: part.state_dict() for key, part in parts.items()} | {"state": vars(state)}
+    data = io.BytesIO()
+    torch.save(content, data)
     try:
-        write_whole(path, lambda file: torch.save(content, file))
-    except (OSError, RuntimeError) as error:  # torch has its own for a disk that is full
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        write_whole(path, lambda file: file.write_bytes(data.getbuffer()))
+    except OSError as error:
         raise InputError(
-            f"{path}: cannot be written: {reason}; make room and give the same command again, "
-            f"which goes on from epoch {state.epoch}"
+            f"{path}: cannot be written: {error.strerror}; make room and give the same command "
+            f"again, which goes on with epoch {state.epoch}"
         ) from None
 
 

@@ -15,7 +15,7 @@ from hatn_sim.config import Scenario, load_scenario, load_tracks, recording_name
 from hatn_sim.errors import InputError
 from hatn_sim.learn.content import content_hash
 from hatn_sim.log import read_run
-from hatn_sim.recordings.each import each_recording
+from hatn_sim.recordings.each import each_recording, own_cases, own_files
 from hatn_sim.resources import find_scenarios
 
 PARTS: Final = ("train", "tune", "test")
@@ -50,7 +50,6 @@ class Traffic:
     warm_up_s: float
     duration_s: float | None  # None: to the end
     sources: tuple[Source, ...]
-    beside: tuple[Path, ...] = ()  # the other recorded tracks that were named with it
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,26 +116,21 @@ def traffic_of_tracks(
 
     Raises InputError as `load_tracks` does.
     """
-    everything = load_tracks(patterns, map_path)
-    assert everything.recorded is not None
-    whole = everything.recorded
-    wanted = replace(whole, recordings=recording_names(recordings))
+    whole = load_tracks(patterns, map_path, recording_names(recordings))
     found: list[Traffic] = []
-    for source in each_recording(wanted):
-        names = [path.name.partition(".")[0] for path in source.tracks]
-        cases = frozenset(source.recordings)
-        shown = f", {len(cases)} cases" if cases else ""
+    for scenario in each_recording(whole):
+        assert scenario.recorded is not None
+        files = own_files(scenario.recorded)
+        cases = frozenset(own_cases(scenario.recorded))
+        names = ", ".join(path.name.partition(".")[0] for path in files)
         found.append(
             Traffic(
-                name=f"{everything.name}, {', '.join(names)}{shown}",
-                scenario=replace(everything, recorded=source),
+                name=f"{scenario.name}, {names}",
+                scenario=scenario,
                 seed=0,
                 warm_up_s=0.0,
                 duration_s=None,
-                sources=tuple(
-                    Source(content_hash(path), str(path), cases) for path in source.tracks
-                ),
-                beside=tuple(path for path in whole.tracks if path not in source.tracks),
+                sources=tuple(Source(content_hash(path), str(path), cases) for path in files),
             )
         )
     return found
@@ -166,12 +160,15 @@ def traffic_of_runs(folders: Sequence[str]) -> list[Traffic]:
     return found
 
 
-def make_split(parts: Mapping[str, Iterable[Traffic]], called: Mapping[str, str]) -> Split:
-    """A split of parts by their names, `called` so in errors.
+def make_split(
+    parts: Mapping[str, Iterable[Traffic]], called: Mapping[str, str] | None = None
+) -> Split:
+    """A split of parts by their names; `called`: what errors call them.
 
     Raises InputError where two parts, or one part twice, have something in common, and where there
     is nothing to learn from or nothing to tune on.
     """
+    called = {name: name for name in PARTS} | dict(called or {})
     traffic = {name: tuple(parts.get(name, ())) for name in PARTS}
     for name in ("train", "tune"):
         if not traffic[name]:
@@ -241,7 +238,7 @@ def _card(part: Sequence[Traffic]) -> list[dict[str, Any]]:
         key = (scenario.name, is_run)
         kind = "runs" if is_run else "recordings"
         entry = entries.setdefault(key, {"site": scenario.name, kind: []})
-        cases = scenario.recorded.recordings
-        names = [path.resolve().name for path in scenario.recorded.tracks]
+        cases = own_cases(scenario.recorded)
+        names = [path.resolve().name for path in own_files(scenario.recorded)]
         entry[kind].append({"files": names, "cases": list(cases)} if cases else ", ".join(names))
     return list(entries.values())
