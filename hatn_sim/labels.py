@@ -21,8 +21,6 @@ FOLLOW_FRAMES = 100
 """The vehicle passed before has to cross within 10 s after the ego."""
 CROSSING_RADIUS_M = 4.0
 """Who is farther from the conflict after driving the distance to it has taken another way."""
-PROFILE_FRAMES = (5, 10, 15, 20, 25, 30)
-"""Every half second up to the horizon: when the distances of a profile are travelled."""
 MOVING_M = 1.0
 """A sample is moving when it travels more than this in 3 s (METHOD 6)."""
 
@@ -140,17 +138,6 @@ def goal_m(
     whole = trajectories.seen(vehicle, frame, frame + HORIZON_FRAMES)
     then_m = trajectories.travelled_at(vehicle, frame + HORIZON_FRAMES)
     return np.where(whole, then_m - trajectories.travelled_at(vehicle, frame), 0.0), whole
-
-
-def profile_m(
-    trajectories: Trajectories, vehicle: IntArray, frame: IntArray
-) -> tuple[FloatArray, BoolArray]:
-    """Distance travelled after `PROFILE_FRAMES`: (metres [S, P], mask [S, P]), 0 where masked."""
-    then = frame[:, None] + np.array(PROFILE_FRAMES)
-    known = trajectories.seen(vehicle[:, None], frame[:, None], then)
-    then_m = trajectories.travelled_at(vehicle[:, None], then)
-    now_m = trajectories.travelled_at(vehicle, frame)[:, None]
-    return np.where(known, then_m - now_m, 0.0), known
 
 
 def crossing_frame(

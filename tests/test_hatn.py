@@ -1,4 +1,4 @@
-"""The encoder-decoder network, and weight files."""
+"""The networks: composition of the race by enumeration, gradients, masks, dynamics."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_settings_out_of_range_are_refused(
     "change",
     [
         lambda card: card["sgn"].pop("history_stride"),
-        lambda card: card["sgn"].update(headz=4),
+        lambda card: card["sgn"].update(hands=4),
         lambda card: card.update(sgn=3),
         lambda card: card.pop("sgn"),
     ],

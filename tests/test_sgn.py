@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from hatn_sim.datatypes import DT_S
+from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.graph import CONTEXT_SIZE
 from hatn_sim.hatn.sgn import (
     OF_THE_PAST,
@@ -24,7 +24,7 @@ from hatn_sim.hatn.sgn import (
 from hatn_sim.hatn.sgn_settings import SgnSettings, best_sgn, paper_sgn, paper_variants
 from hatn_sim.hatn.slots import race_log_probability
 from hatn_sim.hatn.travel import HORIZON_S, PROFILE_S, constant_acceleration_steps, profile_m
-from hatn_sim.labels import PROFILE_FRAMES
+from hatn_sim.learn.dataset import PROFILE_EVERY
 from hatn_sim.learn.sgn_loss import Targets, sgn_loss
 
 FORMS = {
@@ -59,7 +59,6 @@ def truth_of(batch: GraphBatch) -> Targets:
         goal_m=torch.full((egos, nodes), 5.0),
         goal_mask=batch.node_mask.clone(),
         profile_m=torch.linspace(0.5, 5.0, 6).expand(egos, nodes, 6),
-        profile_mask=batch.node_mask[..., None].expand(-1, -1, 6),
         slot=torch.where(torch.arange(egos) % 2 == 0, 0, last),
         crossing_s=torch.full((egos,), 4.0),
         crossing_mask=torch.ones(egos, dtype=torch.bool),
@@ -272,7 +271,8 @@ def test_who_stops_earlier_stays() -> None:
 
 
 def test_the_labels_and_the_profile_speak_of_the_same_moments() -> None:
-    np.testing.assert_allclose(np.array(PROFILE_FRAMES) * DT_S, PROFILE_S)
+    ahead = np.arange(PROFILE_EVERY, HORIZON_FRAMES + 1, PROFILE_EVERY)
+    np.testing.assert_allclose(ahead * DT_S, PROFILE_S)
     assert PROFILE_S[-1] == HORIZON_S
 
 

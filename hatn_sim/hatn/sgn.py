@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from hatn_sim.datatypes import HISTORY_FRAMES, MAX_NODES
 from hatn_sim.graph import CONTEXT, CONTEXT_SIZE, ROAD_CONTEXT
+from hatn_sim.hatn.anchors import ANCHORS, anchors_m
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.slots import race_log_probability, softmax_log_probability, tempered
 from hatn_sim.hatn.travel import HORIZON_S, PROFILE_S, profile_m
@@ -142,15 +143,18 @@ class SemanticGraphNetwork(nn.Module):
             self.race_skip = nn.Linear(len(RACE_FEATURES), 1, bias=False)
         if settings.slots == "race":
             self.ego_bias = nn.Parameter(torch.zeros(()))
-        known = 2 * width if settings.context else width
+        known = (2 if settings.context else 1) * width + 2 * settings.goal_knows_slots
         steps = len(PROFILE_S) if settings.profile else 0
+        # Of every mean: how it is told from its base.
+        self.per_mean = 1 + (ANCHORS if settings.goal_base == "anchors" else 0)
         self.goal_head = nn.Sequential(
-            _dense(known, width), nn.Linear(width, 3 * settings.components + steps)
+            _dense(known, width),
+            nn.Linear(width, (2 + self.per_mean) * settings.components + steps),
         )
         if settings.slot_modes:
             # The ego's node, the slot's, and whether to yield -> goal, crossing, profile.
             self.mode_head = nn.Sequential(
-                _dense(known + width + 1, width), nn.Linear(width, 2 + steps)
+                _dense(known + width + 1, width), nn.Linear(width, 1 + self.per_mean + steps)
             )
 
     def forward(self, batch: GraphBatch) -> Intention:
@@ -163,7 +167,10 @@ class SemanticGraphNetwork(nn.Module):
             speed = absolute[:, -1, REAR_MPS : REAR_MPS + 1]
             ahead = self.road_encoder(torch.cat((context[:, :ROAD_CONTEXT], speed), -1))
             known = torch.cat((z, ahead), -1)
-        return self._intention(self._slots(z, context, batch), z, known, batch)
+        utility = self._utility(z, context, batch)
+        if self.settings.goal_knows_slots:
+            known = torch.cat((known, self._first(utility.detach(), batch)), -1)
+        return self._intention(self._slots(utility, batch), z, known, batch)
 
     def _histories(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
         frames = batch.x.shape[2]
@@ -204,26 +211,38 @@ class SemanticGraphNetwork(nn.Module):
             own = told = relations(told, own, mask)
         return own
 
-    def _slots(self, z: Tensor, context: Tensor, batch: GraphBatch) -> Tensor:
-        """Log probabilities [E, M]."""
+    def _utility(self, z: Tensor, context: Tensor, batch: GraphBatch) -> Tensor:
+        """Of every node [E, M], in a race to the focus or as scores of slots."""
         utility = z.new_zeros(batch.node_mask.shape)
         score = self.race_head(z)
         if self.settings.context:
             score = score + self.race_skip(context[:, RACE_FEATURES])
         utility[batch.node_mask] = score[:, 0]
         if self.settings.slots == "softmax":
-            found = softmax_log_probability(utility, batch.focus_mask)
-        else:
-            utility = self._race(utility, batch)
-            found = race_log_probability(utility, batch.focus_mask)
-        return tempered(found, self.slot_temperature)
-
-    def _race(self, utility: Tensor, batch: GraphBatch) -> Tensor:
+            return utility
         if self.settings.context:
             utility = utility - QUEUED_PENALTY * batch.context[..., QUEUED]
-            if not self.training:
-                utility = utility - RACE_PER_S * batch.context[..., RACE_FEATURES[0]]
         return torch.cat((utility[:, :1] + self.ego_bias, utility[:, 1:]), 1)
+
+    def _with_prior(self, utility: Tensor, batch: GraphBatch) -> Tensor:
+        if self.settings.slots == "softmax" or not self.settings.context:
+            return utility
+        return utility - RACE_PER_S * batch.context[..., RACE_FEATURES[0]]
+
+    def _first(self, utility: Tensor, batch: GraphBatch) -> Tensor:
+        """[N, 2]: how probably each node's vehicle is the first to cross, if it may be."""
+        chance = softmax_log_probability(self._with_prior(utility, batch), batch.focus_mask).exp()
+        return torch.stack((chance, batch.focus_mask.to(chance.dtype)), -1)[batch.node_mask]
+
+    def _slots(self, utility: Tensor, batch: GraphBatch) -> Tensor:
+        """Log probabilities [E, M]."""
+        if self.settings.slots == "softmax":
+            found = softmax_log_probability(utility, batch.focus_mask)
+        else:
+            if not self.training:
+                utility = self._with_prior(utility, batch)
+            found = race_log_probability(utility, batch.focus_mask)
+        return tempered(found, self.slot_temperature)
 
     def _intention(
         self, slot_logit: Tensor, z: Tensor, known: Tensor, batch: GraphBatch
@@ -233,22 +252,31 @@ class SemanticGraphNetwork(nn.Module):
         out = known.new_zeros((*mask.shape, of_node.shape[-1]))
         out[mask] = of_node
         speed = batch.x[:, :, -1, REAR_MPS]
-        weight = out[..., :count].log_softmax(-1)
-        mean = self._goal_m(speed.unsqueeze(-1), out[..., count : 2 * count])
-        std = nn.functional.softplus(out[..., 2 * count : 3 * count] - 2.0)
+        steps = out.shape[-1] - count * (2 + self.per_mean)
+        weight, means, wide, change = out.split((count, count * self.per_mean, count, steps), -1)
+        weight = weight.log_softmax(-1)
+        mean = self._goal_m(
+            batch.x[:, :, None, -1], batch.context[:, :, None], means.unflatten(-1, (count, -1))
+        )
+        std = MIN_GOAL_STD_M + GOAL_SCALE_M * nn.functional.softplus(wide - 2.0)
         goal = (weight.exp() * mean).sum(-1)
         return Intention(
             slot_logit=slot_logit,
             goal_log_weight=weight,
             goal_mean_m=mean,
-            goal_std_m=(MIN_GOAL_STD_M + GOAL_SCALE_M * std) * self.goal_temperature,
-            profile_m=profile_m(goal, speed, self._change(out[..., 3 * count :])),
+            goal_std_m=std * self.goal_temperature,
+            profile_m=profile_m(goal, speed, self._change(change)),
             modes=self._modes(z, known, goal, batch) if self.settings.slot_modes else None,
         )
 
-    def _goal_m(self, speed_mps: Tensor, out: Tensor) -> Tensor:
-        base_m = HORIZON_S * speed_mps if self.settings.goal_from_speed else 0.0
-        return nn.functional.softplus(base_m + GOAL_SCALE_M * out)
+    def _goal_m(self, now: Tensor, context: Tensor, out: Tensor) -> Tensor:
+        """Goals [...] from features now [..., 7], context [..., C] and `per_mean` outputs."""
+        base_m: Tensor | float = 0.0
+        if self.settings.goal_base == "speed":
+            base_m = HORIZON_S * now[..., REAR_MPS]
+        elif self.settings.goal_base == "anchors":
+            base_m = (out[..., 1:].softmax(-1) * anchors_m(now, context)).sum(-1)
+        return nn.functional.softplus(base_m + GOAL_SCALE_M * out[..., 0])
 
     def _change(self, out: Tensor) -> Tensor:
         """Changes [..., P] of a profile; none without the setting."""
@@ -264,16 +292,16 @@ class SemanticGraphNetwork(nn.Module):
         first = batch.node_mask.sum(-1).cumsum(0) - batch.node_mask.sum(-1)
         yields = (slot == 0).to(z.dtype).unsqueeze(-1)
         out = self.mode_head(torch.cat((known[first[ego]], padded[ego, slot], yields), -1))
-        speed, to_m = batch.x[ego, 0, -1, REAR_MPS], batch.x[ego, 0, -1, REAR_M]
-        of_slot = self._goal_m(speed, out[:, 0])
-        crossing = earliest_s(to_m, speed) + CROSSING_SCALE_S * out[:, 1]
+        now = batch.x[ego, 0, -1]
+        of_slot = self._goal_m(now, batch.context[ego, 0], out[:, 1 : 1 + self.per_mean])
+        crossing = earliest_s(now[:, REAR_M], now[:, REAR_MPS]) + CROSSING_SCALE_S * out[:, 0]
         # Who has no choice has one mode, that of its own goal.
         goals = torch.zeros_like(goal)
         goals[:, 0] = goal[:, 0]
         changes = goal.new_zeros((*goal.shape, len(PROFILE_S)))
         crossings = torch.zeros_like(goal)
         goals[ego, slot] = of_slot
-        changes[ego, slot] = self._change(out[:, 2:])
+        changes[ego, slot] = self._change(out[:, 1 + self.per_mean :])
         crossings[ego, slot] = nn.functional.softplus(crossing)
         speeds = batch.x[:, :1, -1, REAR_MPS].expand_as(goals)
         return SlotModes(goals, profile_m(goals, speeds, changes), crossings)

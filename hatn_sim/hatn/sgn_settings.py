@@ -32,8 +32,11 @@ class SgnSettings:
     """"race": beyond the paper, see `slots.py`. "softmax": over the nodes' scores."""
     context: bool = True
     """Beyond the paper: `graph.CONTEXT` beside the seven features."""
-    goal_from_speed: bool = True
-    """Beyond the paper: goals are learnt as a change of the distance at today's speed."""
+    goal_base: Literal["none", "speed", "anchors"] = "speed"
+    """What goals are learnt as a change of. "none": the paper's. "speed": the distance at today's
+    speed. "anchors": a choice among plain things to do, see `anchors.py`; needs `context`."""
+    goal_knows_slots: bool = False
+    """Beyond the paper: how probably a vehicle is the first to cross tells how far it gets."""
     profile: bool = False
     """Beyond the paper: the way to the goal, half second by half second, is learnt."""
     slot_modes: bool = False
@@ -61,7 +64,7 @@ def paper_sgn() -> SgnSettings:
         history_stride=1,
         slots="softmax",
         context=False,
-        goal_from_speed=False,
+        goal_base="none",
         class_weight=1.0,
         ego_weight=1.0,
         goal_l1_weight=0.0,

@@ -38,3 +38,10 @@ def profile_m(goal_m: Tensor, speed_mps: Tensor, change: Tensor) -> Tensor:
     base = constant_acceleration_steps(goal_m.detach(), speed_mps)
     share = (base.log() + change).softmax(-1)
     return goal_m.unsqueeze(-1) * share.cumsum(-1)
+
+
+def braking_m(distance_m: Tensor, speed_mps: Tensor) -> Tensor:
+    """How far one gets in three seconds by braking evenly to stand after a distance [...]."""
+    distance, speed = distance_m.clamp(min=1e-3), speed_mps.clamp(min=0.0)
+    moving = speed * HORIZON_S - (speed * HORIZON_S) ** 2 / (4.0 * distance)
+    return torch.where(distance < 0.5 * HORIZON_S * speed, distance, moving).clamp(min=0.0)

@@ -30,13 +30,10 @@ from hatn_sim.hatn.inputs import (
 )
 from hatn_sim.labels import (
     FOLLOW_FRAMES,
-    NEXT_FRAMES,
-    PROFILE_FRAMES,
     SAMPLE_EVERY_FRAMES,
     Trajectories,
     crossing_frame,
     goal_m,
-    profile_m,
     slot_label,
 )
 from hatn_sim.labels import trajectories_from_rows as _trajectories
@@ -45,6 +42,8 @@ from hatn_sim.road import Road
 
 OFF_LINE_M: Final = 3.0
 """A future that leaves the line by more than this was driven on another one."""
+PROFILE_EVERY: Final = 5
+"""Frames from one distance of a profile to the next."""
 IDLE_FRAMES: Final = 600
 """Lines nobody has driven on for so long are let go of: long recordings stay small."""
 KEEP_LINES: Final = 4000
@@ -63,8 +62,7 @@ class Samples:
     # What it is to say:
     goal_m: Float32Array  # [S, M] distance travelled in 3 s
     goal_mask: BoolArray  # [S, M]
-    profile_m: Float32Array  # [S, M, 6] distance travelled after 0.5, 1 ... 3 s
-    profile_mask: BoolArray  # [S, M, 6]
+    profile_m: Float32Array  # [S, M, 6] distance travelled after 0.5, 1 ... 3 s; as `goal_mask`
     slot: IntArray  # [S] -1: none
     crossing_s: Float32Array  # [S] until the ego crosses its focus
     crossing_mask: BoolArray  # [S]
@@ -176,8 +174,9 @@ def _samples_of_moment(moment: _Moment, trajectories: Trajectories, motion: Floa
     frame = np.full(len(keep), moment.frame)
     of_nodes = np.repeat(frame, node.shape[1])
     goals, known = goal_m(trajectories, node.ravel(), of_nodes)
-    profile, profile_known = profile_m(trajectories, node.ravel(), of_nodes)
-    by_time = (*node.shape, len(PROFILE_FRAMES))
+    ahead = np.arange(PROFILE_EVERY, HORIZON_FRAMES + 1, PROFILE_EVERY)
+    profile = trajectories.travelled_at(node[..., None], moment.frame + ahead)
+    profile = profile - trajectories.travelled_at(node, moment.frame)[..., None]
     slot = slot_label(
         trajectories,
         ego,
@@ -195,7 +194,7 @@ def _samples_of_moment(moment: _Moment, trajectories: Trajectories, motion: Floa
         frame,
         graphs.ego_to_conflict_m[keep, 0],
         graphs.conflict_xy_m[keep, 0],
-        NEXT_FRAMES + FOLLOW_FRAMES,
+        FOLLOW_FRAMES,
     )
     crosses = has_conflict & (crossing >= 0)
     return Samples(
@@ -206,8 +205,7 @@ def _samples_of_moment(moment: _Moment, trajectories: Trajectories, motion: Floa
         history_mask=graphs.history_mask[keep],
         goal_m=goals.reshape(node.shape).astype(np.float32),
         goal_mask=known.reshape(node.shape) & graphs.node_mask[keep],
-        profile_m=profile.reshape(by_time).astype(np.float32),
-        profile_mask=profile_known.reshape(by_time) & graphs.node_mask[keep][..., None],
+        profile_m=profile.astype(np.float32),
         slot=np.where(has_conflict, slot, -1),
         crossing_s=np.where(crosses, DT_S * (crossing - frame), 0.0).astype(np.float32),
         crossing_mask=crosses,

@@ -27,8 +27,7 @@ class Targets:
 
     goal_m: Tensor  # [E, M]
     goal_mask: Tensor  # [E, M]
-    profile_m: Tensor  # [E, M, P]
-    profile_mask: Tensor  # [E, M, P]
+    profile_m: Tensor  # [E, M, P] where the goal is known
     slot: Tensor  # [E] -1: none to learn from
     crossing_s: Tensor  # [E]
     crossing_mask: Tensor  # [E]
@@ -41,7 +40,6 @@ def targets(samples: Samples, rows: IntArray, scale: Tensor | None = None) -> Ta
         goal_m=torch.from_numpy(samples.goal_m[rows]) * by[:, None],
         goal_mask=torch.from_numpy(samples.goal_mask[rows]),
         profile_m=torch.from_numpy(samples.profile_m[rows]) * by[:, None, None],
-        profile_mask=torch.from_numpy(samples.profile_mask[rows]),
         slot=torch.from_numpy(samples.slot[rows]),
         crossing_s=torch.from_numpy(samples.crossing_s[rows]),
         crossing_mask=torch.from_numpy(samples.crossing_mask[rows]),
@@ -65,9 +63,8 @@ def sgn_loss(
         settings.label_smoothing,
     )
     if settings.profile:
-        by_time = weight.clamp(min=0.0).unsqueeze(-1) * truth.profile_mask
-        away = _robust(intention.profile_m - truth.profile_m, ROBUST_M)
-        parts["profile"] = PROFILE_PER_M * _mean(away, by_time)
+        away = _robust(intention.profile_m - truth.profile_m, ROBUST_M).mean(-1)
+        parts["profile"] = PROFILE_PER_M * _mean(away, weight)
     if intention.modes is not None:
         parts["modes"] = _mode_loss(intention.modes, truth, several)
     return parts
@@ -96,9 +93,9 @@ def _mode_loss(modes: SlotModes, truth: Targets, several: Tensor) -> Tensor:
     """Of the slots taken: the way there, and when the ego crosses its focus."""
     ego = several.nonzero()[:, 0]
     slot = truth.slot[ego]
-    travelled = _robust(modes.profile_m[ego, slot] - truth.profile_m[ego, 0], ROBUST_M)
+    travelled = _robust(modes.profile_m[ego, slot] - truth.profile_m[ego, 0], ROBUST_M).mean(-1)
     crossing = _robust(modes.crossing_s[ego, slot] - truth.crossing_s[ego], ROBUST_S)
-    return PROFILE_PER_M * _mean(travelled, truth.profile_mask[ego, 0]) + (
+    return PROFILE_PER_M * _mean(travelled, truth.goal_mask[ego, 0]) + (
         CROSSING_PER_S * _mean(crossing, truth.crossing_mask[ego])
     )
 

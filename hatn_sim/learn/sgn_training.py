@@ -76,13 +76,8 @@ def sgn_figures(model: SemanticGraphNetwork, samples: Samples) -> dict[str, floa
     }
 
 
-def predicted_goals(model: SemanticGraphNetwork, samples: Samples) -> Float32Array:
-    """The goal [S] of every ego by the trained SGN: what the EDN is trained on."""
-    return predicted_profiles(model, samples)[:, -1]
-
-
 def predicted_profiles(model: SemanticGraphNetwork, samples: Samples) -> Float32Array:
-    """The profile [S, P] of every ego by the trained SGN; its end is the goal."""
+    """The profile [S, P] of every ego by the trained SGN: what the EDN is trained on."""
     model.eval()
     found = []
     for rows in batches(len(samples)):
