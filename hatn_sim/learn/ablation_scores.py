@@ -23,12 +23,9 @@ from hatn_sim.learn.ablation_training import (
 )
 from hatn_sim.learn.ablations import EdnModel, Model, Row
 from hatn_sim.learn.batches import batches, graph_batch
-from hatn_sim.learn.dataset import Samples, concatenate
+from hatn_sim.learn.dataset import Samples
 from hatn_sim.score.intervals import MIN_RUNS
 from hatn_sim.score.steps import StepErrors, step_errors
-
-RunSamples = Sequence[Samples]
-"""Of the runs, or recordings, of one scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +40,7 @@ class Judged:
 def judge(
     study: Study,
     rows: Sequence[Row],
-    test: Mapping[str, RunSamples],
+    test: Mapping[str, Samples],
     curves: Mapping[str, tuple[str, str]],
 ) -> Judged:
     """Scores of trained rows on the test samples of every scene.
@@ -51,15 +48,15 @@ def judge(
     Args:
         study: where the networks are.
         rows: all of whose networks are trained.
-        test: by scene.
+        test: by scene, of one run or recording or several.
         curves: name -> (table, row), whose error at each predicted step is wanted too.
     """
-    over = "runs" if min(map(len, test.values())) >= MIN_RUNS else "vehicles"
+    fewest = min(len(np.unique(samples.run)) for samples in test.values())
+    over = "runs" if fewest >= MIN_RUNS else "vehicles"
     scores: list[list[Score]] = [[] for _ in rows]
     steps: list[StepErrors] = []
-    for scene, runs in test.items():
-        samples = concatenate(runs)
-        samples = rows_where(samples, whole(samples))
+    for scene, everything in test.items():
+        samples = rows_where(everything, whole(everything))
         cluster = _clusters(samples, over)
         answers = {model: _answer(study, model, samples) for model in {row.model for row in rows}}
         for row, of_row in zip(rows, scores, strict=True):

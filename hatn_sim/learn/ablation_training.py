@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -96,12 +95,6 @@ def path_of(study: Study, model: Model) -> Path:
     digest = hashlib.sha256(json.dumps(hangs_on, sort_keys=True).encode()).hexdigest()[:16]
     kind = "sgn" if isinstance(model, SgnModel) else "edn"
     return study.folder / f"{kind}-{digest}.safetensors"
-
-
-def steps_of(study: Study, model: Model) -> int:
-    """How many steps the training has, if it is not stopped early."""
-    count = len(learning_samples(study, "train", model))
-    return study.how.epochs * math.ceil(count / study.how.batch)
 
 
 def is_trained(study: Study, model: Model) -> bool:

@@ -34,12 +34,15 @@ class SgnModel:
     settings: SgnSettings
 
 
+Goals = SgnModel | Literal["none", "true"]
+
+
 @dataclass(frozen=True)
 class EdnModel:
     """An encoder-decoder network to be trained, and where the goals that it is told come from."""
 
     settings: EdnSettings
-    goals: SgnModel | Literal["none", "true"]
+    goals: Goals
 
 
 Model = SgnModel | EdnModel
@@ -66,7 +69,7 @@ def rows_of(table: str, width: int = WIDTH) -> tuple[Row, ...]:
 
 
 def models_of(rows: Iterable[Row]) -> tuple[Model, ...]:
-    """Every network that the rows need, once; those that others learn from come first."""
+    """Every network that the rows need, once."""
     wanted = [row.model for row in rows]
     told_by = [
         model.goals
@@ -74,6 +77,16 @@ def models_of(rows: Iterable[Row]) -> tuple[Model, ...]:
         if isinstance(model, EdnModel) and isinstance(model.goals, SgnModel)
     ]
     return tuple(dict.fromkeys([*told_by, *wanted]))
+
+
+def in_order(models: Iterable[Model]) -> tuple[tuple[Model, ...], tuple[Model, ...]]:
+    """Networks that learn from traffic alone, and those that are told goals by one of these."""
+    first: list[Model] = []
+    later: list[Model] = []
+    for model in models:
+        is_told = isinstance(model, EdnModel) and isinstance(model.goals, SgnModel)
+        (later if is_told else first).append(model)
+    return tuple(first), tuple(later)
 
 
 def _sgn_rows(width: int) -> tuple[Row, ...]:
@@ -137,7 +150,8 @@ def _intention_rows(width: int) -> tuple[Row, ...]:
     predicted = SgnModel(replace(paper_sgn(), width=width))
     told_input = replace(plain.settings, goal="input")
     rows: list[Row] = []
-    for table, goals in (("intention.a", "true"), ("intention.b", predicted)):
+    sources: dict[str, Goals] = {"intention.a": "true", "intention.b": predicted}
+    for table, goals in sources.items():
         rows.append(Row(table, "No-Intention", plain))
         rows += [
             Row(table, name, EdnModel(replace(plain.settings, goal=signal), goals))
