@@ -211,22 +211,22 @@ def _train(study: Study, rows: Sequence[Row], samples: int, workers: int, watch:
     models = models_of(rows)
     called = {row.model: f"{row.table} {row.name}" for row in reversed(rows)}
     steps = study.how.epochs * math.ceil(samples / study.how.batch)
-    done = sum(is_trained(study, model) for model in models)
-    watch.say(f"{done} of {len(models)} networks are trained already")
+    trained = {model for model in models if is_trained(study, model)}
+    watch.say(f"{len(trained)} of {len(models)} networks are trained already")
     for stage in in_order(models):
-        jobs = [Job(study, model) for model in stage if not is_trained(study, model)]
-        names = [called.get(job.model, "sgn Ours") for job in jobs]
+        wanted = [model for model in stage if model not in trained]
+        names = [called.get(model, "sgn Ours") for model in wanted]
 
-        def show(number: int, step: int, names: Sequence[str] = names, done: int = done) -> None:
-            watch.step(
-                "networks", done, len(models), f"{names[number]} {min(step / steps, 1.0):.0%}"
-            )
+        def show(number: int, step: int, names: Sequence[str] = names) -> None:
+            words = f"{names[number]} {min(step / steps, 1.0):.0%}"
+            watch.step("networks", len(trained), len(models), words)
 
+        jobs = [Job(study, model) for model in wanted]
         for number, card in work_on(train_model, jobs, workers or cores(), show):
-            done += 1
+            trained.add(wanted[number])
             figures = ", ".join(f"{key} {value:.3f}" for key, value in card["tune_figures"].items())
             watch.say(f"{names[number]}: {figures} on the tuning samples, {card['seconds']:.0f} s")
-            watch.step("networks", done, len(models), "")
+            watch.step("networks", len(trained), len(models), "")
 
 
 def _draw(path: Path, judged: Judged) -> None:
