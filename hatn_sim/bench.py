@@ -170,7 +170,7 @@ def _time_steps(
             graphs = watch.time("graphs", build_graphs, road, seen)
             if len(graphs.ego):
                 intention = watch.time("sgn", predictor.intend, graphs)
-                watch.time("edn", predictor.decode, seen, graphs.ego, intention.goal_m()[:, 0])
+                watch.time("edn", predictor.drive, state.memory, graphs.ego, intention)
             state, advice = watch.time("assist", advise, adviser, state, frame.scene, prediction)
             watch.time("log", writer.write, index, frame, {predictor.name: advice})
             watch.taken_ms["tick"].append(sum(watch.taken_ms[stage][-1] for stage in IN_A_TICK))

@@ -79,8 +79,7 @@ def _measure(
         graphs = watch.time("graphs", build_graphs, road, state.seen)
         if len(graphs.ego):
             intention = watch.time("sgn", predictor.intend, graphs)
-            goal_m = intention.goal_m()[:, 0]
-            watch.time("edn", predictor.decode, state.seen, graphs.ego, goal_m)
+            watch.time("edn", predictor.drive, state, graphs.ego, intention)
     return [
         (stage, float(np.median(watch.taken_ms[stage])))
         for stage in STAGES

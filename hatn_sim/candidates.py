@@ -31,6 +31,8 @@ RECENT_M: Final = 0.5
 """Evidence fades by 1/e over this distance driven."""
 FIRST_M: Final = 0.01
 """Weight of the first frame of a vehicle: all there is of one that never moved."""
+BEND_M: Final = 1.5
+"""The curvature of the way driven is a mean over about this distance."""
 OFF_M: Final = 1.7
 """Half a lane off: another lane may be the nearer one by now (a change of lanes)."""
 REST_FRAMES: Final = 5
@@ -50,7 +52,10 @@ class LineState:
     s_m: FloatArray  # [N, A] of the front
     cost_m: FloatArray  # [N, A] warping cost: the mean over the recent way
     now_m: FloatArray  # [N, A] cost at the newest foot
+    d_m: FloatArray  # [N, A] lateral offset of the front now, left positive
+    turned_rad: FloatArray  # [N, A] heading minus tangent now
     weight_m: FloatArray  # [N] of the frames in `cost_m`
+    bend_per_m: FloatArray  # [N] curvature of the recent way, left positive
     spread_m: FloatArray  # [N] what the best line costs: how far the vehicle keeps from lines
     chosen: IntArray  # [N] candidate, -1: none
     doubted: IntArray  # [N] frames for which another candidate has been better
@@ -65,7 +70,10 @@ _PER_VEHICLE: Final = (
     "s_m",
     "cost_m",
     "now_m",
+    "d_m",
+    "turned_rad",
     "weight_m",
+    "bend_per_m",
     "spread_m",
     "chosen",
     "doubted",
@@ -86,7 +94,10 @@ def blank(ids: tuple[str, ...], habits: Habits | None) -> LineState:
         s_m=np.zeros(shape),
         cost_m=np.zeros(shape),
         now_m=np.zeros(shape),
+        d_m=np.zeros(shape),
+        turned_rad=np.zeros(shape),
         weight_m=np.zeros(count),
+        bend_per_m=np.zeros(count),
         spread_m=np.full(count, np.nan),
         chosen=np.full(count, -1, dtype=np.int64),
         doubted=np.zeros(count, dtype=np.int64),
@@ -110,21 +121,41 @@ def advance(state: LineState, road: Road, tracks: Tracks, scene: Scene) -> LineS
     step_m = np.linalg.norm(tracks.xy_m[:, -1] - tracks.xy_m[:, -2], axis=1)
     faded_m = moved.weight_m * np.exp(-step_m / RECENT_M)
     weight_m = faded_m + step_m
+    bend_per_m = _bend_per_m(moved.bend_per_m, tracks, step_m)
     vehicle, slot = np.nonzero(moved.line >= 0)
     if not len(vehicle):
-        return replace(moved, weight_m=weight_m)
+        return replace(moved, weight_m=weight_m, bend_per_m=bend_per_m)
     s_m, cost_m, now_m = moved.s_m.copy(), moved.cost_m.copy(), moved.now_m.copy()
+    d_m, turned_rad = moved.d_m.copy(), moved.turned_rad.copy()
     at = moved.line[vehicle, slot]
     front_xy = _front_xy_m(scene.xy_m, scene.yaw_rad, scene.size_m[:, 0])
     s, d = road.track(at, front_xy[vehicle], s_m[vehicle, slot] + step_m[vehicle])
     s = np.maximum(s, s_m[vehicle, slot] - 0.5)  # time warping never runs backwards
     now, turned = _foot_cost_m(road, at, scene.yaw_rad[vehicle], scene.size_m[vehicle, 0], s, d)
     s_m[vehicle, slot], now_m[vehicle, slot] = s, now
+    d_m[vehicle, slot], turned_rad[vehicle, slot] = d, turned
     total = cost_m[vehicle, slot] * faded_m[vehicle] + now * step_m[vehicle]
     cost_m[vehicle, slot] = total / np.maximum(weight_m[vehicle], 1e-9)
     off = (np.abs(d) > NEAR_M) | (np.abs(turned) > NEAR_RAD)
     moved.line[vehicle[off], slot[off]] = -1
-    return replace(moved, s_m=s_m, cost_m=cost_m, now_m=now_m, weight_m=weight_m)
+    return replace(
+        moved,
+        s_m=s_m,
+        cost_m=cost_m,
+        now_m=now_m,
+        d_m=d_m,
+        turned_rad=turned_rad,
+        weight_m=weight_m,
+        bend_per_m=bend_per_m,
+    )
+
+
+def _bend_per_m(before_per_m: FloatArray, tracks: Tracks, step_m: FloatArray) -> FloatArray:
+    """The curvature [N] of the way driven, fading by 1/e over `BEND_M`: waiting changes nothing."""
+    turned = wrap_angle(tracks.yaw_rad[:, -1] - tracks.yaw_rad[:, -2])
+    kept = np.exp(-step_m / BEND_M)
+    share = np.where(step_m > 1e-3, (1.0 - kept) / np.maximum(step_m, 1e-3), 0.0)
+    return kept * before_per_m + share * turned
 
 
 def _front_xy_m(xy_m: FloatArray, yaw_rad: FloatArray, length_m: FloatArray) -> FloatArray:
@@ -182,15 +213,14 @@ def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Ha
         fields["chosen"][i] = -1
         if not found:
             continue
-        kept, s, cost, now, weight_m = _warp(
-            road, tracks, i, float(scene.size_m[i, 0]), np.array(found, dtype=np.int64)
-        )
+        warped = _warp(road, tracks, i, float(scene.size_m[i, 0]), np.array(found, dtype=np.int64))
+        cost, kept = warped.cost_m, warped.line
         nearest = np.sort(np.argsort(cost, kind="stable")[:MAX_CANDIDATES])
         order = nearest[_by_habit(road, habits, kept[nearest])]
         count = len(order)
-        fields["line"][i, :count], fields["s_m"][i, :count] = kept[order], s[order]
-        fields["cost_m"][i, :count], fields["now_m"][i, :count] = cost[order], now[order]
-        fields["weight_m"][i] = weight_m
+        for name in ("line", "s_m", "cost_m", "now_m", "d_m", "turned_rad"):
+            fields[name][i, :count] = getattr(warped, name)[order]
+        fields["weight_m"][i] = warped.weight_m
         if short[i]:
             fields["chosen"][i] = _same_course(road, int(own[i]), kept[order])
     return replace(state, **fields)
@@ -237,14 +267,23 @@ def _same_course(road: Road, own: int, candidates: IntArray) -> int:
     return -1
 
 
+@dataclass(frozen=True, eq=False)
+class _Warped:
+    """What `LineState` holds of the candidates [C] of one vehicle."""
+
+    line: IntArray
+    s_m: FloatArray
+    cost_m: FloatArray
+    now_m: FloatArray
+    d_m: FloatArray
+    turned_rad: FloatArray
+    weight_m: float
+
+
 def _warp(
     road: Road, tracks: Tracks, vehicle: int, length_m: float, candidates: IntArray
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, float]:
-    """Candidates near the vehicle now, by one warping of its last frames.
-
-    Returns the candidates [C], s [C], the mean cost [C], the cost now [C] and the weight of the
-    mean.
-    """
+) -> _Warped:
+    """Candidates near the vehicle now, by one warping of its last frames."""
     yaw = tracks.yaw_rad[vehicle, -WARP_FRAMES:]
     lengths_m = np.full(WARP_FRAMES, length_m)
     xy = _front_xy_m(tracks.xy_m[vehicle, -WARP_FRAMES:], yaw, lengths_m)
@@ -259,10 +298,18 @@ def _warp(
     line = np.repeat(candidates, WARP_FRAMES)
     all_xy, all_yaw = np.tile(xy, (len(candidates), 1)), np.tile(yaw, len(candidates))
     s, d = road.project(line, all_xy, (s_now[:, None] - behind_m).ravel(), 4.0)
-    cost, _ = _foot_cost_m(road, line, all_yaw, np.tile(lengths_m, len(candidates)), s, d)
+    cost, turned = _foot_cost_m(road, line, all_yaw, np.tile(lengths_m, len(candidates)), s, d)
     cost = cost.reshape(-1, WARP_FRAMES)
     weight = np.concatenate(([0.0], step_m))
     weight[np.argmax(valid)] = FIRST_M
     weight = np.where(valid, weight * np.exp(-behind_m / RECENT_M), 0.0)
     total_m = float(weight.sum())
-    return candidates, s_now, cost @ weight / total_m, cost[:, -1], total_m
+    return _Warped(
+        line=candidates,
+        s_m=s_now,
+        cost_m=cost @ weight / total_m,
+        now_m=cost[:, -1],
+        d_m=d.reshape(cost.shape)[:, -1],
+        turned_rad=turned.reshape(cost.shape)[:, -1],
+        weight_m=total_m,
+    )

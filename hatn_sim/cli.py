@@ -23,7 +23,7 @@ VERBS: Final = {
     "export": "write the tracks of a run as INTERACTION or SUMO floating car data",
     "evaluate": "score predictors on many runs side by side, and print the tables of the paper",
     "net": "build a SUMO net from a Lanelet2 map or another map, in the map's own frame",
-    "train": "train HATN on simulated traffic and write its weights",
+    "train": "train HATN on simulated or recorded traffic and write its weights",
     "scenarios": "list the scenes that ship, with their measured figures",
     "doctor": "say what is installed, what is missing and how to get it",
     "bench": "time every stage of a tick side by side, and the memory it takes",

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError, nearest
 from hatn_sim.resources import find_scenarios
 from hatn_sim.simulators.sumo_config import check_sumocfg
@@ -45,6 +46,16 @@ class ReplaySource:
     react_from_s: float | None = None  # from this time on everybody drives
 
 
+@dataclass(frozen=True, eq=False)
+class DrawnLines:
+    """Lanes drawn from tracks of other recordings of the same place, in place of the map's."""
+
+    lanes: tuple[Lane, ...]
+    recordings: tuple[str, ...]  # whose tracks drew them
+    vehicles: int
+    sha256: str  # of the lanes: equal where they are
+
+
 @dataclass(frozen=True)
 class RecordedSource:
     """Recorded tracks and the map that they were driven on."""
@@ -53,6 +64,8 @@ class RecordedSource:
     map_path: Path | None  # None: the tracks bring their own (the folder of a run)
     recordings: tuple[str, ...] = ()  # those wanted of the files' recordings; empty: all
     replay: ReplaySource | None = None  # None: nothing but the recording happens
+    drawn: DrawnLines | None = None  # None: reference lines along the lanes of the map
+    lines_notice: str = ""  # why they are, where lines from tracks were thought of
 
 
 @dataclass(frozen=True)

@@ -43,16 +43,31 @@ def fresh_habits(road: Road) -> Habits:
         source = np.arange(len(number))
         taken, entered = np.zeros(len(number)), np.zeros(len(number))
         taken[[lane.is_connection for lane in road.lanes.values()]] = 1.0
-        for row, lane in enumerate(road.lanes.values()):
+        for lane in road.lanes.values():
             for name in lane.successors:
                 if name in number and road.lanes[name].is_connection:
-                    source[number[name]] = row
+                    source[number[name]] = number[_last_choice(road, lane.id)]
                     taken[number[name]] = RARE if _turns_around(road, lane.id, name) else 1.0
         np.add.at(entered, source, taken)
         entered = np.maximum(entered, RARE)  # of a lane without connections nobody will ask
         road.shared["habits"] = Habits(taken, entered, source, SIGNALLED, TURNED)
     habits: Habits = road.shared["habits"]
     return habits
+
+
+def _last_choice(road: Road, lane_id: str) -> str:
+    """The lane behind the last junction or merge before a lane: from there on ways may have parted.
+
+    Who keeps to the left long before a junction has chosen already, and counts all the same.
+    """
+    seen = {lane_id}
+    while not road.lanes[lane_id].is_connection:
+        before = road.predecessors[lane_id]
+        if len(before) != 1 or before[0] in seen or road.lanes[before[0]].is_connection:
+            break
+        lane_id = before[0]
+        seen.add(lane_id)
+    return lane_id
 
 
 def _turns_around(road: Road, lane_id: str, connection: str) -> bool:

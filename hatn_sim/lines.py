@@ -18,16 +18,15 @@ import numpy as np
 
 from hatn_sim.candidates import WARP_FRAMES as WARP_FRAMES
 from hatn_sim.candidates import LineState, advance, blank, renew
-from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Lines, Route, Scene, Tracks
+from hatn_sim.datatypes import BoolArray, FloatArray, Lines, Route, Scene, Tracks
 from hatn_sim.geometry import wrap_angle
-from hatn_sim.habits import Habits, fresh_habits, learn, share_nats, silent_nats
+from hatn_sim.habits import Habits, fresh_habits, learn
+from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
+from hatn_sim.line_features import BLUNT_M, Evidence, collect_evidence, line_features
 from hatn_sim.road import LINE_STEP_M, Road
 
-SHARP_M: Final = 0.005
-BLUNT_M: Final = 0.3
 STEADY_M: Final = 10.0
-"""An extra cost makes a line e times less likely if it is as large as what the vehicle's best lines
-have cost over the last metres (fading by 1/e over the latter distance), between these bounds."""
+"""How far a vehicle keeps from its best lines fades by 1/e over this distance."""
 SWITCH_NATS: Final = 0.4
 """Another line must be better by this much ..."""
 SWITCH_FRAMES: Final = 3
@@ -36,15 +35,6 @@ SURE_NATS: Final = 1.5
 """... or by this much at once."""
 EQUAL_NATS: Final = 1e-3
 """Lines this near to each other tie, whatever the last digits say."""
-IDLE_BLINKER_NATS: Final = 4.0
-"""To signal and drive straight on (a change of lanes, a forgotten blinker) ..."""
-WRONG_BLINKER_NATS: Final = 5.0
-"""... or to turn the other way."""
-BLINKER_REACH_M: Final = (60.0, 100.0)
-"""A blinker tells all of a connection nearer than this, and nothing of one further away than that.
-"""
-SILENT_REACH_M: Final = (20.0, 60.0)
-"""The same of one that is not set."""
 
 
 def empty_lines() -> LineState:
@@ -58,8 +48,12 @@ def follow_lines(
     tracks: Tracks,
     scene: Scene,
     routes: tuple[Route | None, ...] | None = None,
+    choice: LineChoice | None = None,
 ) -> tuple[LineState, Lines]:
-    """One frame on: the line of every vehicle. With `routes`, that of its route, not inferred."""
+    """One frame on: the line of every vehicle. With `routes`, that of its route, not inferred.
+
+    Candidates are scored by `choice`; None: the one that ships.
+    """
     moved = advance(state, road, tracks, scene)
     if routes is not None:
         moved = _take_routes(moved, road, scene, routes)
@@ -67,10 +61,11 @@ def follow_lines(
         return moved, _lines(moved, road, scene, probability)
     habits = state.habits or fresh_habits(road)
     moved = _spread(renew(moved, road, tracks, scene, habits), tracks)
-    score, connection = _score(moved, road, scene, habits)
+    evidence = collect_evidence(moved, road, scene, habits)
+    score = _score(evidence, moved, road, tracks, scene, choice or shipped_line_choice())
     moved = _choose(moved, score)
     moved = _learn(moved, road, scene, habits)
-    return moved, _lines(moved, road, scene, _probability(moved, score, connection))
+    return moved, _lines(moved, road, scene, _probability(moved, score, evidence))
 
 
 def _take_routes(
@@ -101,41 +96,23 @@ def _spread(state: LineState, tracks: Tracks) -> LineState:
 
 
 def _score(
-    state: LineState, road: Road, scene: Scene, habits: Habits
-) -> tuple[FloatArray, IntArray]:
-    """-log likelihood [N, A], inf where there is no candidate; and each one's next connection.
-
-    Where there is no connection ahead, the number stands for the line itself.
-    """
+    evidence: Evidence,
+    state: LineState,
+    road: Road,
+    tracks: Tracks,
+    scene: Scene,
+    choice: LineChoice,
+) -> FloatArray:
+    """-log likelihood [N, A], inf where there is no candidate."""
     score = np.full(state.line.shape, np.inf)
-    connection = np.full(state.line.shape, -1, dtype=np.int64)
-    vehicle, slot = np.nonzero(state.line >= 0)
-    if not len(vehicle):
-        return score, connection
-    line = state.line[vehicle, slot]
-    front_m = state.s_m[vehicle, slot]
-    first = (road.fork_end_s_m[line] <= front_m[:, None]).sum(axis=1)
-    first = np.minimum(first, road.fork_s_m.shape[1] - 1)
-    away_m = road.fork_s_m[line, first] - front_m
-    ahead = np.isfinite(away_m)
-    turn, lane = road.fork_turn[line, first], road.fork_lane[line, first]
-
-    nats = state.cost_m[vehicle, slot] / np.maximum(state.spread_m, SHARP_M)[vehicle]
-    blinker = scene.blinker[vehicle]
-    against = np.where(turn == 0, IDLE_BLINKER_NATS, WRONG_BLINKER_NATS)
-    against = np.where((blinker != 0) & (turn != blinker), against, 0.0)
-    silent = np.where((blinker == 0) & (turn != 0), silent_nats(habits), 0.0)
-    nats += against * _nearness(away_m, BLINKER_REACH_M)
-    nats += silent * _nearness(away_m, SILENT_REACH_M)
-    nats += np.where(ahead, share_nats(habits, lane), 0.0)
-    score[vehicle, slot] = nats
-    connection[vehicle, slot] = np.where(ahead, lane, -2 - line)
-    return score, connection
-
-
-def _nearness(away_m: FloatArray, reach_m: tuple[float, float]) -> FloatArray:
-    """1 up to the first distance, falling to 0 at the second."""
-    return np.clip((reach_m[1] - away_m) / (reach_m[1] - reach_m[0]), 0.0, 1.0)
+    if len(evidence.vehicle):
+        at = evidence.vehicle, evidence.slot
+        if choice is HAND_MADE_CHOICE:
+            score[at] = evidence.nats.sum(axis=1)
+        else:
+            nats = choice.nats(line_features(evidence, state, road, tracks, scene))
+            score[at] = nats[evidence.alike]
+    return score
 
 
 def _choose(state: LineState, score: FloatArray) -> LineState:
@@ -155,16 +132,19 @@ def _choose(state: LineState, score: FloatArray) -> LineState:
     return replace(state, chosen=chosen, doubted=np.where(switch, 0, doubted))
 
 
-def _probability(state: LineState, score: FloatArray, connection: IntArray) -> FloatArray:
+def _probability(state: LineState, score: FloatArray, evidence: Evidence) -> FloatArray:
     """Softmax [N] over the next connections of the candidates: that of the chosen one's."""
-    rows, own = np.arange(len(state.ids)), np.maximum(state.chosen, 0)
-    some = state.chosen >= 0
-    low = np.where(some, np.min(score, axis=1, initial=np.inf), 0.0)
-    weight = np.where(np.isfinite(score), np.exp(low[:, None] - score), 0.0)
-    same = (connection[:, :, None] == connection[:, None, :]) & (weight[:, None, :] > 0)
-    weight /= np.maximum(same.sum(axis=2), 1)
-    mine = (weight * same[rows, own]).sum(axis=1)
-    return np.where(some, mine / np.maximum(weight.sum(axis=1), 1e-12), 0.0)
+    count, vehicle, slot = len(state.ids), evidence.vehicle, evidence.slot
+    if not len(vehicle):
+        return np.zeros(count)
+    least = np.min(score, axis=1, initial=np.inf)
+    weight = np.exp(least[vehicle] - score[vehicle, slot] + evidence.log_share)
+    connection = np.full(score.shape, -1, dtype=np.int64)
+    connection[vehicle, slot] = evidence.connection
+    own = connection[np.arange(count), np.maximum(state.chosen, 0)]
+    mine = np.bincount(vehicle, weight * (evidence.connection == own[vehicle]), count)
+    total = np.bincount(vehicle, weight, count)
+    return np.where(state.chosen >= 0, mine / np.maximum(total, 1e-12), 0.0)
 
 
 def _learn(state: LineState, road: Road, scene: Scene, habits: Habits) -> LineState:

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import HISTORY_FRAMES, FloatArray, IntArray, Lines, Route, Scene, Tracks
 from hatn_sim.geometry import wrap_angle
+from hatn_sim.line_choice import LineChoice, shipped_line_choice
 from hatn_sim.lines import LineState, empty_lines, follow_lines
 from hatn_sim.road import Road
 from hatn_sim.tracks import empty_tracks, extend
@@ -49,13 +50,19 @@ class PerceptionState:
     """Memory of what was seen so far, and the newest moment."""
 
     road: Road
+    choice: LineChoice
     line_state: LineState
     seen: Perception
 
 
-def begin(road: Road) -> PerceptionState:
-    """Nothing seen yet. The same object for the same road, so that predictors share their work."""
-    if "begin" not in road.shared:
+def begin(road: Road, choice: LineChoice | None = None) -> PerceptionState:
+    """Nothing seen yet; lines will be chosen by `choice`, None: the one that ships.
+
+    The same object for the same road and choice, so that predictors share their work.
+    """
+    choice = choice or shipped_line_choice()
+    known: dict[LineChoice, PerceptionState] = road.shared.setdefault("begin", {})
+    if choice not in known:
         nothing = np.zeros(0)
         shape = (0, HISTORY_FRAMES)
         motion = Motion(*(np.zeros(shape) for _ in range(5)))
@@ -74,28 +81,31 @@ def begin(road: Road) -> PerceptionState:
         )
         lines = Lines(none, nothing, nothing, nothing, nothing)
         seen = Perception(scene, empty_tracks(), lines, motion, none, nothing, nothing)
-        road.shared["begin"] = PerceptionState(road, empty_lines(), seen)
-    state: PerceptionState = road.shared["begin"]
-    return state
+        known[choice] = PerceptionState(road, choice, empty_lines(), seen)
+    return known[choice]
+
+
+_Done = tuple[PerceptionState, Scene, bool, PerceptionState]
+"""What `perceive` was given last, and what it gave."""
 
 
 def perceive(
     state: PerceptionState, scene: Scene, routes: tuple[Route | None, ...] | None
 ) -> PerceptionState:
     """One frame on. Predictors that look at one scene from one memory share the result."""
-    road, by_route = state.road, routes is not None
-    last = road.shared.get("last")
+    road, choice, by_route = state.road, state.choice, routes is not None
+    done: dict[LineChoice, _Done] = road.shared.setdefault("last", {})
+    last = done.get(choice)
     if last and last[0] is state and last[1] is scene and last[2] == by_route:
-        known: PerceptionState = last[3]
-        return known
+        return last[3]
     tracks = extend(state.seen.tracks, scene)
-    line_state, lines = follow_lines(state.line_state, road, tracks, scene, routes)
+    line_state, lines = follow_lines(state.line_state, road, tracks, scene, routes, choice)
     road.touch(line_state.line)
     own = motion_along(road, tracks, lines.line, lines.s_m, np.arange(len(scene.ids)))
     leader, leader_s_m = find_leaders(road, scene, lines)
     seen = Perception(scene, tracks, lines, own, leader, leader_s_m, _waited_s(tracks))
-    after = PerceptionState(road, line_state, seen)
-    road.shared["last"] = (state, scene, by_route, after)
+    after = PerceptionState(road, choice, line_state, seen)
+    done[choice] = state, scene, by_route, after
     return after
 
 

@@ -103,7 +103,8 @@ class Road:
         return {name: number for number, name in enumerate(self.lanes)}
 
     @cached_property
-    def _predecessors(self) -> dict[str, list[str]]:
+    def predecessors(self) -> dict[str, list[str]]:
+        """The lanes that lead to each."""
         before: dict[str, list[str]] = {name: [] for name in self.lanes}
         for lane in self.lanes.values():
             for successor in lane.successors:
@@ -162,7 +163,7 @@ class Road:
         while length_m < BEHIND_M:
             before = [
                 name
-                for name in self._predecessors[route[0]]
+                for name in self.predecessors[route[0]]
                 if kind in self.lanes[name].kinds and name not in route
             ]
             if not before:

@@ -343,6 +343,7 @@ def test_json_of_run_and_score_is_the_list_of_scores_and_the_rate_of_the_run(
     assert json.loads(Path("run/scores.json").read_text()) == scores
     keys = (
         "measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high",
+        "std",
     )  # fmt: skip
     assert tuple(field.name for field in fields(Score)) == keys
     assert all(tuple(score) == keys for score in [*scores, rate, factor])

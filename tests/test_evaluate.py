@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,13 @@ import pytest
 from conftest import heed_ctrl_c
 
 from hatn_sim import cli
+from hatn_sim.commands.chosen_predictors import load_predictors
 from hatn_sim.datatypes import HORIZON_FRAMES
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.evaluation.pool import Stopped, Teller, work_on
 from hatn_sim.log import read_run
-from hatn_sim.resources import scenarios_dir
+from hatn_sim.predictors.find import weights_of
+from hatn_sim.resources import scenarios_dir, weights_dir
 
 RULES = ("--predictors", "constant_velocity,idm")
 SHORT = ("--scenes", "tjunction", "--duration", "8", "--warm-up", "30", "--quiet")
@@ -167,6 +170,28 @@ def test_every_recording_is_a_run_on_cores_side_by_side(capsys: pytest.CaptureFi
     printed = capsys.readouterr()
     assert "2 of 2 runs are in out/runs already" in printed.err
     assert "errors in metres" in printed.out and "bootstrapped over vehicles" in printed.out
+
+
+def test_the_papers_form_has_weights_beside_the_others(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = weights_dir() / "hatn.safetensors"
+    for name in ("w", "w-paper"):
+        for suffix in (".safetensors", ".json"):
+            shutil.copy(shipped.with_suffix(suffix), here / f"{name}{suffix}")
+    weights = Path("w.safetensors")
+    assert weights_of("hatn", weights) == weights
+    assert weights_of("hatn-paper", weights) == Path("w-paper.safetensors")
+    assert weights_of("hatn", None) == shipped
+    both = load_predictors(("hatn", "hatn-paper"), weights, "none", False)
+    assert [predictor.name for predictor in both] == ["hatn", "hatn-paper"]
+    assert capsys.readouterr().err == ""
+    Path("w-paper.safetensors").unlink()
+    assert weights_of("hatn-paper", weights) == shipped.with_name("hatn-paper.safetensors")
+    with suppress(InputError):  # where none ship
+        load_predictors(("hatn-paper",), weights, "none", False)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("hatn-sim: hatn-paper: w-paper.safetensors is not beside w.safetensors")
 
 
 # ---------------------------------------------------------------------------------------------

@@ -33,7 +33,10 @@ ONLY_IN = {
 LAYERS = (
     ("", "datatypes", "errors", "geometry", "plugins", "resources", "safe_xml"),
     ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
-    ("candidates", "graph", "habits", "labels", "lines", "perception", "speed_profile", "tracks"),
+    (
+        *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
+        *("perception", "speed_profile", "tracks"),
+    ),
     ("assist", "hatn", "predictors"),
     ("evaluation", "learn", "log", "loop", "recordings", "report", "score", "traffic"),
     ("bench", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),

@@ -17,13 +17,12 @@ from hatn_sim import cli
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame
 from hatn_sim.errors import HatnSimError, InputError
-from hatn_sim.hatn.sgn import SgnSettings
+from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import load_weights
 from hatn_sim.learn.augment import free_travel_m, scale_graphs
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.learn.fit import FitSettings
 from hatn_sim.learn.settings import FORMS, TrainingSettings
-from hatn_sim.learn.sgn_training import graph_batch
 from hatn_sim.learn.split import Split, make_split, traffic_of_scenes
 from hatn_sim.learn.train import TrainingPlan, train
 from hatn_sim.learn.watch import Nobody
@@ -337,7 +336,7 @@ def test_the_whole_command_on_recorded_tracks_and_scenes(
     text = (tmp_path / "w.json").read_text()
     card = json.loads(text)
     assert card["split"]["train"] == [
-        {"site": "recorded_sample", "recordings": ["vehicle_tracks_000.csv"]}
+        {"site": "recorded_sample", "lines": "lanes", "recordings": ["vehicle_tracks_000.csv"]}
     ]
     assert "--split split.toml --epochs 1" in card["command"]
     assert str(tmp_path) not in text and str(site) not in text

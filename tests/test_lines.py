@@ -14,6 +14,7 @@ from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Lane, Lines, Scene
 from hatn_sim.geometry import arc_length_m
 from hatn_sim.habits import Habits, fresh_habits, learn, share_nats, silent_nats
+from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice
 from hatn_sim.lines import LineState, empty_lines, follow_lines
 from hatn_sim.road import Road
 from hatn_sim.score.line_accuracy import LineJudge, line_scores
@@ -88,8 +89,8 @@ def drive(
 class Watcher:
     """Follows one car over frames and tells its line by the names of the lanes."""
 
-    def __init__(self, road: Road) -> None:
-        self.road = road
+    def __init__(self, road: Road, choice: LineChoice | None = None) -> None:
+        self.road, self.choice = road, choice
         self.state: LineState = empty_lines()
         self.tracks = empty_tracks()
         self.lines: Lines | None = None
@@ -99,7 +100,9 @@ class Watcher:
         """The lanes of its line after one more frame; none where there is no line."""
         scene = scene_of(self.time_s, {name: pose}, blinker)
         self.tracks = extend(self.tracks, scene)
-        self.state, self.lines = follow_lines(self.state, self.road, self.tracks, scene)
+        self.state, self.lines = follow_lines(
+            self.state, self.road, self.tracks, scene, choice=self.choice
+        )
         self.time_s += 0.1
         line = int(self.lines.line[0])
         return self.road.lines[line].route if line >= 0 else ()
@@ -147,7 +150,7 @@ def test_a_blinker_that_is_set_late_counts_at_once() -> None:
 
 def test_where_lines_tie_the_probability_says_so() -> None:
     """Far from the junction, three equal ways; the two on the lane beside are out of question."""
-    watcher = Watcher(Road(fork_lanes()))
+    watcher = Watcher(Road(fork_lanes()), HAND_MADE_CHOICE)
     for pose in drive([(-120.0, 0.0), (-70.0, 0.0)]):
         watcher.see(pose)
     assert watcher.probability == pytest.approx(1.0 / 3.0, abs=0.02)
@@ -246,7 +249,7 @@ def test_what_others_did_is_expected_of_the_next() -> None:
         lane("a_w", wide, "far", is_connection=True, turn=-1),
         lane("far", [wide[-1], (wide[-1][0] + 30.0, wide[-1][1] - 100.0)]),
     ]
-    watcher = Watcher(Road(lanes))
+    watcher = Watcher(Road(lanes), HAND_MADE_CHOICE)
     for number, (way, name) in enumerate([(RIGHT, "a_r")] * 4 + [(wide, "a_w")] * 12):
         (x, y), (x_before, y_before) = way[-1], way[-2]
         onward = (x + 5.0 * (x - x_before), y + 5.0 * (y - y_before))

@@ -132,6 +132,12 @@ def test_numbers_stand_beside_those_of_the_same_row() -> None:
     assert entries["tjunction", "Frenet", "fde_3s"].ours is None
 
 
+def test_a_row_may_come_in_parts() -> None:
+    whole = AblationRow("sgn", "GAT", scores_of("GAT", "intersection5", goal_error=0.5))
+    entries = {(e.scene, e.measure): e.ours for e in compare(SGN, [*ROWS, whole]) if e.row == "GAT"}
+    assert [score is not None for score in entries.values()] == [True, False, False, True]
+
+
 def test_without_ours_the_papers_numbers_stand_alone() -> None:
     entries = compare(SOTA, ROWS)
     assert {entry.scene for entry in entries} == set(SCENARIOS)

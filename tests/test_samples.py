@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from hatn_sim import cli
-from hatn_sim.errors import InputError, SimulatorError
+from hatn_sim.errors import HatnSimError, InputError, SimulatorError
+from hatn_sim.evaluation.pool import Teller
 from hatn_sim.learn import cache as cache_module
 from hatn_sim.learn import sources
 from hatn_sim.learn.cache import SampleCache, default_folder, key_of
@@ -212,24 +213,24 @@ def test_a_job_that_fails_is_one_line_and_the_others_are_kept(tmp_path: Path) ->
     assert kept.load(short(4)) is not None
 
 
-def _die(_: Traffic) -> Samples:
+def _die(_: Traffic, __: Teller) -> Samples:
     os._exit(3)
 
 
-def _fail(_: Traffic) -> Samples:
+def _fail(*_: object) -> Samples:
     raise ZeroDivisionError("no vehicles")
 
 
-def test_a_job_that_crashes_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_dies_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "_cut", _die)
-    with pytest.raises(SimulatorError, match=r"^tjunction, seed 4, .*: a worker process died, "):
-        gather("train", [short(4)], SampleCache(None), 1, Told())
+    with pytest.raises(HatnSimError, match=r"a process was killed from outside, perhaps"):
+        gather("train", [short(4), short(5)], SampleCache(None), 2, Told())
 
 
 def test_a_bug_in_a_job_is_one_line_that_says_where(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "samples_of", _fail)
     with pytest.raises(SimulatorError) as failed:
-        sources._cut(short(4))  # pyright: ignore[reportPrivateUsage]
+        gather("train", [short(4)], SampleCache(None), 1, Told())
     said = str(failed.value)
     assert said.startswith("tjunction, seed 4, courteous, normal: failed: ZeroDivisionError: no ve")
     assert "test_samples.py:" in said

@@ -469,6 +469,17 @@ def test_repeating_a_vehicle_does_not_narrow_its_interval() -> None:
     assert intervals.interval(repeated, intervals.ratio) == pytest.approx(bounds)
 
 
+def test_intervals_of_several_means_are_those_of_each() -> None:
+    rng = np.random.default_rng(7)
+    sums = np.column_stack([rng.normal(2.0, 1.0, (30, 3)), rng.integers(0, 4, 30)])
+    low, high = intervals.mean_intervals(sums)
+    for k in range(3):
+        assert (low[k], high[k]) == pytest.approx(
+            intervals.interval(sums[:, [k, -1]], intervals.ratio)
+        )
+    assert np.isnan(intervals.mean_intervals(sums[:1])).all()
+
+
 def test_no_interval_from_one_cluster_or_no_value() -> None:
     assert intervals.interval(np.array([[3.0, 1.0]]), intervals.ratio) is None
     assert intervals.interval(np.zeros((0, 2)), intervals.ratio) is None

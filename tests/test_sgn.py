@@ -13,14 +13,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
-from hatn_sim.graph import CONTEXT_SIZE
-from hatn_sim.hatn.sgn import (
-    OF_THE_PAST,
-    GraphBatch,
-    Intention,
-    SemanticGraphNetwork,
-    frozen_sgn,
-)
+from hatn_sim.graph import CONTEXT, CONTEXT_SIZE
+from hatn_sim.hatn.anchors import anchors_of_context_m, anchors_of_features_m
+from hatn_sim.hatn.sgn import OF_THE_PAST, GraphBatch, Intention, SemanticGraphNetwork
+from hatn_sim.hatn.sgn_program import frozen_sgn
 from hatn_sim.hatn.sgn_settings import SgnSettings, best_sgn, paper_sgn, paper_variants
 from hatn_sim.hatn.slots import race_log_probability
 from hatn_sim.hatn.travel import HORIZON_S, PROFILE_S, constant_acceleration_steps, profile_m
@@ -37,6 +33,7 @@ FORMS = {
     "all at once": replace(
         best_sgn(), width=8, sequential=True, heads=3, graph_layers=2, attend_absolute=True
     ),
+    "goals from speed": replace(best_sgn(), width=8, goal_base="speed", goal_by_slots=False),
     "as it ships": replace(SgnSettings(), width=8),
 }
 
@@ -195,7 +192,9 @@ def test_single_agent_learns_the_egos_goal_alone() -> None:
         assert sgn_loss(intention, batch, truth, settings)["goal"] != loss
 
 
-@pytest.mark.parametrize("form", [paper_sgn(), SgnSettings()], ids=["paper", "context"])
+@pytest.mark.parametrize(
+    "form", [paper_sgn(), SgnSettings(), best_sgn()], ids=["paper", "context", "best"]
+)
 def test_without_time_only_the_present_is_read(form: SgnSettings) -> None:
     batch = batch_of(16)
     past = OF_THE_PAST if form.context else ()
@@ -208,6 +207,24 @@ def test_without_time_only_the_present_is_read(form: SgnSettings) -> None:
         with torch.no_grad():
             same = torch.equal(model(batch).goal_m(), model(other).goal_m())
         assert same is not temporal
+
+
+def test_anchors_by_hand() -> None:
+    """10 m/s; the front boundary 10 m and the conflict 45 m ahead; a leader 20 m ahead at 4 m/s."""
+    now = torch.tensor([35.0, 0.0, 0.0, 45.0, 10.0, 0.0, 10.0])
+    assert anchors_of_features_m(now).tolist() == pytest.approx([30.0, 10.0, 30.0 - 5.0])
+    context = torch.zeros(CONTEXT_SIZE)
+    for name, value in {
+        "free_travel_m": 36.0,
+        "acceleration": -1.0,
+        "distance_m": 20.0,
+        "speed_mps of the leader": 4.0,
+        "leader there": 1.0,
+    }.items():
+        context[next(k for k, entry in enumerate(CONTEXT) if entry.startswith(name))] = value
+    assert anchors_of_context_m(now, context).tolist() == pytest.approx([25.5, 36.0, 32.0])
+    context[CONTEXT.index("leader there")] = 0.0
+    assert anchors_of_context_m(now, context).tolist() == pytest.approx([25.5, 36.0, 36.0])
 
 
 def test_the_papers_form_reads_the_papers_features_alone() -> None:
@@ -223,7 +240,8 @@ def test_profiles_never_fall_and_end_at_the_goal() -> None:
     batch = batch_of(64)
     torch.manual_seed(0)
     with torch.no_grad():
-        found = SemanticGraphNetwork(replace(best_sgn(), width=8)).eval()(batch)
+        model = SemanticGraphNetwork(replace(best_sgn(), width=8)).eval()
+        found, weights = model(batch), model.state_dict()
     assert found.modes is not None
     for profile, goal in (
         (found.profile_m, found.goal_m()),
@@ -235,6 +253,12 @@ def test_profiles_never_fall_and_end_at_the_goal() -> None:
     assert (found.modes.goal_m[closed] == 0).all()
     alone = batch.focus_mask.sum(-1) == 1
     torch.testing.assert_close(found.modes.goal_m[alone, 0], found.goal_m()[alone, 0])
+    expected = (found.slot_logit.exp() * found.modes.goal_m).sum(-1)
+    with torch.no_grad():
+        model = SemanticGraphNetwork(replace(best_sgn(), width=8, goal_by_slots=False)).eval()
+        model.load_state_dict(weights)
+        plain = model(batch).goal_m()[:, 0]
+    torch.testing.assert_close(found.goal_m()[:, 0], 0.5 * (plain + expected))
     assert (found.modes.crossing_s[alone] == 0).all()
     assert (found.modes.crossing_s[~alone, 0] > 0).all()
 

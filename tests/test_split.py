@@ -77,7 +77,7 @@ warm_up_s = 10
     card = split.card()
     assert card["train"][0]["seeds"] == [1, 5] and card["train"][1]["risk"] == "assertive"
     files = ["vehicle_tracks_000.csv", "vehicle_tracks_001.csv"]
-    assert card["train"][-1] == {"site": "site", "recordings": files}
+    assert card["train"][-1] == {"site": "site", "lines": "lanes", "recordings": files}
     assert card["test"][0]["seeds"] == [9]
     assert str(site) not in str(card)
 
@@ -94,6 +94,7 @@ warm_up_s = 10
         ("[[train]]\nscenes = [3]\nseeds = 1\n", "scenes: expected a list of texts, found [3]"),
         ("[[train]]\nscenes = 'tjunctoin'\nseeds = 1\n", "unknown scene 'tjunctoin'; did you mean"),
         ("[[train]]\ntracks = 'vehicle_tracks_*.csv'\n", "map is missing: add a text"),
+        (f"[[train]]\n{TRACKS}lines = 'track'\n", "lines: unknown 'track'; did you mean 'tracks'?"),
         ("[[train]]\n" + TRACKS.format("007"), "there is no recording '007'"),
         ("[[train]]\nruns = ['nothing']\n", "nothing: there are no such tracks"),
         ("[[train]]\nscenes = 'tjunction'\nseeds = 1\n", "[[tune]]: expected at least one piece"),

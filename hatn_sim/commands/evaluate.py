@@ -113,8 +113,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seeds",
         type=seeds,
         metavar="A-B",
-        help="of the traffic (default: 601-605, that no weights that ship were trained on; of a "
-        "--table: 1)",
+        help="of the traffic (default: 601-605, that no weights that ship were trained on; of "
+        "--table density, lines and runtime: 1)",
     )
     parser.add_argument(
         "--predictors",

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
+LINES_FROM: Final = ("lanes", "tracks", "auto")
 ADAPTATIONS: Final = ("none",)
 """What --adapt may be."""
 SIMULATORS_OWN: Final = "sumo_driver"
@@ -97,6 +98,18 @@ def add_tracks(parser: argparse.ArgumentParser, place: str) -> None:
     )
 
 
+def add_lines_from(parser: argparse.ArgumentParser, default: str) -> None:
+    """`--lines-from`."""
+    parser.add_argument(
+        "--lines-from",
+        choices=LINES_FROM,
+        default=default,
+        help="reference lines of INTERACTION tracks along the lanes of the map, or along those "
+        "drawn from the tracks of the other recordings of --tracks; auto: from tracks where there "
+        f"are enough (default: {default})",
+    )
+
+
 def add_driving(parser: argparse.ArgumentParser) -> None:
     """`--drive` and `--agent`, and the net that recorded vehicles need to be driven in."""
     parser.add_argument(
@@ -176,6 +189,15 @@ def with_driving(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
         raise InputError(f"--net {arguments.net} is for recorded tracks; leave it out")
     replay = ReplaySource(arguments.net, arguments.drive or "", arguments.react_from)
     return replace(scenario, recorded=replace(scenario.recorded, replay=replay))
+
+
+def with_lines_from(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+    """The scene with the reference lines of --lines-from. Raises InputError."""
+    if arguments.lines_from == "lanes":
+        return scenario
+    from hatn_sim.recordings.track_lines.source import other_recordings, with_track_lines
+
+    return with_track_lines(scenario, other_recordings(scenario), arguments.lines_from)
 
 
 def chosen_scenario(arguments: argparse.Namespace) -> Scenario:

@@ -21,6 +21,7 @@ from hatn_sim.commands.options import (
     SIMULATORS_OWN,
     add_driving,
     add_lines,
+    add_lines_from,
     add_networks,
     add_scene,
     add_traffic,
@@ -31,6 +32,7 @@ from hatn_sim.commands.options import (
     seconds,
     seconds_or_none,
     with_driving,
+    with_lines_from,
 )
 
 if TYPE_CHECKING:
@@ -85,6 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="further predictors to score on the same samples",
     )
     add_lines(parser)
+    add_lines_from(parser, "lanes")
     parser.add_argument(
         "--egos",
         type=names,
@@ -114,7 +117,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.traffic import ids_by, open_traffic
 
     started = time.monotonic()
-    scenario = with_driving(chosen_scenario(arguments), arguments)
+    scenario = with_lines_from(with_driving(chosen_scenario(arguments), arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     if arguments.warm_up is None:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)

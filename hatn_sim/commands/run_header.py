@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hatn_sim.commands.options import scene_words
 
 if TYPE_CHECKING:
-    from hatn_sim.config import Scenario
+    from hatn_sim.config import RecordedSource, Scenario
     from hatn_sim.datatypes import Predictor
 
 
@@ -58,6 +58,19 @@ def _recorded_settings(scenario: Scenario) -> dict[str, Any]:
         "recordings": list(source.recordings),
         "net": None if source.replay is None else source.replay.net_path.name,
         "react_from_s": None if source.replay is None else source.replay.react_from_s,
+        "lines_from": lines_from(source),
+    }
+
+
+def lines_from(source: RecordedSource) -> dict[str, Any]:
+    """What the reference lines of recorded traffic follow."""
+    if source.drawn is None:
+        return {"source": "lanes"}
+    return {
+        "source": "tracks",
+        "recordings": list(source.drawn.recordings),
+        "vehicles": source.drawn.vehicles,
+        "sha256": source.drawn.sha256,
     }
 
 
@@ -83,6 +96,8 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
         words += ["--react-from", f"{arguments.react_from:g}"]
     if arguments.drive is not None:
         words += ["--drive", arguments.drive, "--agent", arguments.agent]
+    if arguments.lines_from != "lanes":
+        words += ["--lines-from", arguments.lines_from]
     if scenario.density is not None:
         words += ["--density", scenario.density]
     if scenario.risk is not None:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.options import add_tracks, names, seconds, whole_number
+from hatn_sim.commands.options import add_lines_from, add_tracks, names, seconds, whole_number
 
 if TYPE_CHECKING:
     from hatn_sim.learn.cache import SampleCache
@@ -65,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--density", metavar="light|normal|dense")
     add_tracks(parser, "in place of scenes")
+    add_lines_from(parser, "auto")
     parser.add_argument(
         "--split", type=Path, metavar="FILE.toml", help="a file that names all of this instead"
     )
@@ -156,7 +157,7 @@ def _split(arguments: argparse.Namespace) -> Split:
         if name not in given:
             raise InputError(f"--tracks: add --{name} 000-014, those to learn from and to tune on")
     parts = {
-        part: traffic_of_tracks(arguments.tracks, arguments.map, wanted)
+        part: traffic_of_tracks(arguments.tracks, arguments.map, wanted, arguments.lines_from)
         for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
     }
     return make_split(parts, {"train": "--recordings", "tune": "--tune"})

@@ -8,11 +8,12 @@ import sys
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 from hatn_sim.config import Scenario
-from hatn_sim.datatypes import DT_S, Advice, Frame
+from hatn_sim.datatypes import DT_S, Advice, Frame, Predictor
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
@@ -20,13 +21,13 @@ from hatn_sim.log import RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.log.schema import RUN_FILE
 from hatn_sim.loop import Adviser, LineSource, run, warm_up
-from hatn_sim.predictors.find import load_predictor
+from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
 from hatn_sim.traffic import ids_by, open_traffic
 
 FOUND_OUT: Final = "ids_by"
 """Of a header's settings: known once the traffic has been opened."""
-UNCOMPARED: Final = ("command",)
-"""Keys of a header that may differ in a run that is used again."""
+UNCOMPARED: Final = ("command", f"settings.{FOUND_OUT}")
+"""What of a header may differ in a run that is used again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +92,11 @@ def is_there(plan: RunPlan) -> bool:
 def _comparable(header: Mapping[str, Any]) -> dict[str, Any]:
     """A header as JSON gives it back, flat, without what may differ."""
     plain: dict[str, Any] = json.loads(json.dumps(dict(header)))
-    settings = plain.pop("settings", {})
-    settings.pop(FOUND_OUT, None)
-    for key in UNCOMPARED:
-        plain.pop(key, None)
-    return plain | {f"settings.{key}": value for key, value in settings.items()}
+    flat: dict[str, Any] = {}
+    for key, value in plain.items():
+        inside = value.items() if isinstance(value, dict) else [("", value)]
+        flat |= {f"{key}.{name}" if name else key: each for name, each in inside}
+    return {key: value for key, value in flat.items() if key not in UNCOMPARED}
 
 
 def _sources(plan: RunPlan) -> list[Path]:
@@ -126,7 +127,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
     shutil.rmtree(plan.out, ignore_errors=True)
     advisers = [
         # Nobody is advised: suggestions and alerts are not what is scored.
-        Adviser(load_predictor(name, plan.weights, plan.adapt), plan.lines, frozenset())
+        Adviser(_predictor(name, plan.weights, plan.adapt), plan.lines, frozenset())
         for name in plan.predictors
     ]
     with closing(open_traffic(plan.scenario)) as simulator:
@@ -153,3 +154,14 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
     if total is not None and frames < total:
         notices.append(f"the scene was over after {frames} of {total} steps")
     return Made(frames, tuple(notices))
+
+
+def _predictor(name: str, weights: Path | None, adapt: str) -> Predictor:
+    """A predictor for one run. Networks, which keep nothing of a run, are loaded once a process."""
+    load = _network if name in READS_WEIGHTS else load_predictor
+    return load(name, weights, adapt)
+
+
+@cache
+def _network(name: str, weights: Path | None, adapt: str) -> Predictor:
+    return load_predictor(name, weights, adapt)

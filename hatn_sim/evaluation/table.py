@@ -21,9 +21,10 @@ COLUMNS: Final = (
 
 @dataclass(frozen=True)
 class AblationRow:
-    """What one trained variant reaches: a row of one of the paper's tables.
+    """What one trained variant reaches: a row of one of the paper's tables, or a part of it.
 
     `scores` are of any scenes, with the measures of the table; those that lack some leave gaps.
+    Rows of the same name are one row.
     """
 
     table: str  # key of the paper's table: "sgn", "edn.a", "intention.b" ...
@@ -50,15 +51,18 @@ def compare(table: PaperTable, rows: Sequence[AblationRow], subset: str = "all")
     A scene stands beside the paper's scenario that it is like. Without any scores of ours, the
     paper's numbers stand alone.
     """
-    own = {row.name: row for row in rows if row.table == table.key}
-    scenes = list(dict.fromkeys(score.scene for row in own.values() for score in row.scores))
+    own: dict[str, list[Score]] = {}
+    for row in rows:
+        if row.table == table.key:
+            own.setdefault(row.name, []).extend(row.scores)
+    scenes = list(dict.fromkeys(score.scene for scores in own.values() for score in scores))
     if not scenes:
         scenes = list(dict.fromkeys(scenario for of in table.rows.values() for scenario, _ in of))
     entries: list[Entry] = []
     for scene in scenes:
         scenario = scenario_of(scene)
         for name in dict.fromkeys([*table.rows, *own]):
-            told = _told(own[name], scene, subset) if name in own else {}
+            told = _told(own.get(name, ()), scene, subset)
             cells = table.rows.get(name, {})
             entries += [
                 Entry(
@@ -75,21 +79,22 @@ def compare(table: PaperTable, rows: Sequence[AblationRow], subset: str = "all")
     return entries
 
 
-def _told(row: AblationRow, scene: str, subset: str) -> Mapping[str, Score]:
+def _told(scores: Sequence[Score], scene: str, subset: str) -> Mapping[str, Score]:
     return {
         score.measure: score
-        for score in row.scores
+        for score in scores
         if score.scene == scene and score.subset == subset and score.n
     }
 
 
 def with_summary(rows: Sequence[AblationRow]) -> list[AblationRow]:
     """The rows, and those of the summary, which are rows of the other tables seen once more."""
-    given = {(row.table, row.name): row for row in rows}
+    given = {(row.table, row.name) for row in rows}
+    shown = {place: name for name, place in SUMMARISES.items() if ("summary", name) not in given}
     more = [
-        AblationRow("summary", name, given[place].scores)
-        for name, place in SUMMARISES.items()
-        if place in given and ("summary", name) not in given
+        AblationRow("summary", shown[row.table, row.name], row.scores)
+        for row in rows
+        if (row.table, row.name) in shown
     ]
     return [*rows, *more]
 

@@ -20,20 +20,28 @@ _GAP: Final = CONTEXT.index("distance_m of the rear vehicle to its leader, up to
 _LEADER_MPS: Final = CONTEXT.index("speed_mps of the leader of the rear vehicle")
 _LEADER: Final = CONTEXT.index("leader there")
 _ACCELERATION: Final = CONTEXT.index("acceleration_mps2 of the rear vehicle")
-ANCHORS: Final = 6
+ANCHORS_OF_FEATURES: Final = 3
+ANCHORS: Final = ANCHORS_OF_FEATURES + 3
 
 
-def anchors_m(now: Tensor, context: Tensor) -> Tensor:
-    """Distances [..., ANCHORS] of rear vehicles from features now [..., 7] and context [..., C].
+def anchors_of_features_m(now: Tensor) -> Tensor:
+    """Distances [..., 3] of rear vehicles with features [..., 7] now.
 
-    At today's speed; at today's acceleration; with nobody in the way; behind the leader; braking
-    for the front boundary; braking for the conflict.
+    At today's speed; braking for the front boundary; braking for the conflict.
     """
-    speed, free = now[..., _REAR_MPS], context[..., _FREE]
-    even = HORIZON_S * speed
-    onward = (even + 0.5 * HORIZON_S**2 * context[..., _ACCELERATION]).clamp(min=0.0)
-    behind = context[..., _GAP] + HORIZON_S * context[..., _LEADER_MPS]
-    behind = torch.where(context[..., _LEADER] > 0.5, torch.minimum(behind, free), free)
+    speed = now[..., _REAR_MPS]
     front_m = now[..., _LENGTH_M].clamp(max=FREE_M)
     at_front, at_conflict = braking_m(front_m, speed), braking_m(now[..., _REAR_M], speed)
-    return torch.stack((even, onward, free, behind, at_front, at_conflict), -1)
+    return torch.stack((HORIZON_S * speed, at_front, at_conflict), -1)
+
+
+def anchors_of_context_m(now: Tensor, context: Tensor) -> Tensor:
+    """Distances [..., 3] of rear vehicles with features [..., 7] now and `graph.CONTEXT` [..., C].
+
+    At today's acceleration; with nobody in the way; behind the leader.
+    """
+    free = context[..., _FREE]
+    onward = HORIZON_S * now[..., _REAR_MPS] + 0.5 * HORIZON_S**2 * context[..., _ACCELERATION]
+    behind = context[..., _GAP] + HORIZON_S * context[..., _LEADER_MPS]
+    behind = torch.where(context[..., _LEADER] > 0.5, torch.minimum(behind, free), free)
+    return torch.stack((onward.clamp(min=0.0), free, behind), -1)

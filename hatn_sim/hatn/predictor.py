@@ -17,8 +17,9 @@ from hatn_sim.datatypes import (
     SemanticGraphs,
 )
 from hatn_sim.graph import build_graphs
-from hatn_sim.hatn.edn import frozen
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, frozen
 from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
+from hatn_sim.hatn.modes import modes_of
 from hatn_sim.hatn.sgn import GraphBatch, Intention
 from hatn_sim.hatn.weights_io import Weights, load_weights
 from hatn_sim.perception import PerceptionState, begin, perceive
@@ -29,9 +30,9 @@ from hatn_sim.road import Road
 class Hatn:
     """Hierarchical Adaptable and Transferable Network (Wang et al., arXiv 2202.05140)."""
 
-    def __init__(self, weights: Weights | Path, name: str = "hatn", adapt: str = "none") -> None:
+    def __init__(self, weights: Weights | Path, name: str = "hatn") -> None:
         torch.set_num_threads(1)  # more threads are slower at this size
-        self.name, self.adapt = name, adapt
+        self.name = name
         self.weights = load_weights(weights) if isinstance(weights, Path) else weights
         self._drive = frozen(self.weights.edn)
 
@@ -49,27 +50,39 @@ class Hatn:
     def predict(self, state: PerceptionState) -> Prediction:
         return self.predict_graphs(state, build_graphs(state.road, state.seen))
 
-    def predict_graphs(self, state: PerceptionState, graphs: SemanticGraphs) -> Prediction:
-        """The prediction for one moment that has been perceived already."""
+    def predict_graphs(
+        self,
+        state: PerceptionState,
+        graphs: SemanticGraphs,
+        intention: Intention | None = None,
+    ) -> Prediction:
+        """The prediction for one moment that has been perceived already.
+
+        `intention` is what `intend` said of the graphs, if it was asked before.
+        """
         seen = state.seen
         count = len(seen.scene.ids)
         components = self.weights.sgn.settings.components
         fallback = np.ones(count, dtype=np.bool_)
         fallback[graphs.ego] = False
-        xy = fallback_motion(seen.tracks)
+        physics = fallback_motion(seen.tracks)[:, None]
+        xy, chance = physics, np.ones((count, 1))
         weight = np.full((count, components), 1.0 / components)
         mean = np.repeat(3.0 * seen.scene.speed_mps[:, None], components, axis=1)
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
         if len(graphs.ego):
-            intention = self.intend(graphs)
-            xy[graphs.ego] = self.decode(state, graphs.ego, intention.profile_m[:, 0])
+            intention = intention or self.intend(graphs)
+            future, probability = self.drive(state, graphs.ego, intention)
+            xy = physics.repeat(future.shape[1], axis=1)
+            chance = np.eye(1, future.shape[1]).repeat(count, axis=0)
+            xy[graphs.ego], chance[graphs.ego] = future, probability
             slots = intention.slot_logit.double().softmax(-1).numpy()
             weight[graphs.ego], mean[graphs.ego], std[graphs.ego] = _ego_goals(intention)
         return Prediction(
             ids=seen.scene.ids,
-            xy_m=xy[:, None],
-            mode_probability=np.ones((count, 1)),
+            xy_m=xy,
+            mode_probability=chance,
             fallback=fallback,
             adapted=np.zeros(count, dtype=np.bool_),
             lines=seen.lines,
@@ -87,14 +100,30 @@ class Hatn:
         return intention
 
     @torch.inference_mode()
-    def decode(self, state: PerceptionState, vehicle: IntArray, goal_m: Tensor) -> FloatArray:
-        """What the EDN makes of profiles [B, P]: where vehicles [B] go in the map, [B, F, 2]."""
-        seen = state.seen
-        goal_m = goal_m[:, -self.weights.edn.settings.goal_steps :]
-        inputs = vehicle_inputs(state.road, seen, vehicle)
-        history, line, at = map(torch.from_numpy, (inputs.history, inputs.line, inputs.at))
-        future = self._drive(history, line, at, goal_m).double().numpy()
-        return to_map_frame(future, seen.scene.xy_m[vehicle], seen.scene.yaw_rad[vehicle])
+    def drive(
+        self, state: PerceptionState, vehicle: IntArray, intention: Intention
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the EDN makes of the intention of vehicles [E]: positions [E, K, F, 2] in the map,
+        and the probability [E, K] of each mode; where that is 0, the first mode stands again.
+        """
+        modes = modes_of(intention)
+        probability = modes.probability.double().numpy()
+        row, mode = np.nonzero(probability > 0.0)
+        inputs = vehicle_inputs(state.road, state.seen, vehicle)
+        read = (torch.from_numpy(part[row]) for part in (inputs.history, inputs.line, inputs.at))
+        goal_m = told_goal_m(self.weights.edn, modes.profile_m[row, mode])
+        own = self._drive(*read, goal_m).double().numpy()
+        first = own[np.searchsorted(row, np.arange(len(vehicle)))]
+        future = first[:, None].repeat(probability.shape[1], axis=1)
+        future[row, mode] = own
+        scene = state.seen.scene
+        xy = to_map_frame(future, scene.xy_m[vehicle], scene.yaw_rad[vehicle])
+        return xy, probability
+
+
+def told_goal_m(network: EncoderDecoderNetwork, profile_m: Tensor) -> Tensor:
+    """What the EDN is told [B, G] of profiles [B, P]: all of them, or their ends."""
+    return profile_m[:, -network.settings.goal_steps :]
 
 
 def graph_batch(graphs: SemanticGraphs) -> GraphBatch:

@@ -7,21 +7,22 @@ its rear vehicle will travel. `sgn_settings.py` tells the paper's form, its vari
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 
-from hatn_sim.datatypes import HISTORY_FRAMES, MAX_NODES
 from hatn_sim.graph import CONTEXT, CONTEXT_SIZE, ROAD_CONTEXT
-from hatn_sim.hatn.anchors import ANCHORS, anchors_m
+from hatn_sim.hatn.anchors import (
+    ANCHORS,
+    ANCHORS_OF_FEATURES,
+    anchors_of_context_m,
+    anchors_of_features_m,
+)
+from hatn_sim.hatn.sgn_layers import Relations, dense
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.slots import race_log_probability, softmax_log_probability, tempered
-from hatn_sim.hatn.travel import HORIZON_S, PROFILE_S, profile_m
-from hatn_sim.speed_profile import ACCELERATION_MPS2
+from hatn_sim.hatn.travel import HORIZON_S, PROFILE_S, earliest_s, profile_m
 
 # Fixed scales, never fitted to a scene: d_f, v_f, phi_f, d_r, v_r, phi_r, l.
 FEATURE_SCALE = (30.0, 10.0, 1.0, 30.0, 10.0, 1.0, 30.0)
@@ -52,7 +53,9 @@ QUEUED = CONTEXT.index("front is a vehicle of the focus group")
 QUEUED_PENALTY = 6.0
 """Who queues behind another is not first; finite, since lines and leaders may be wrong."""
 RACE_PER_S = 1.0
-"""A prior that holds on any road: each second of earliest arrival costs this much utility. It is
+RACE_PER_GATE = 1.0
+"""A prior that holds on any road: each second of earliest arrival costs this much utility, and so
+does a stop line, give-way line or closed signal that is still to be passed. It is
 added when predicting only. In training it would be unlearned: who is far from one scene's focus is
 also told by how that scene looks, and on another scene only the time is left."""
 GOAL_SCALE_M = 10.0
@@ -102,6 +105,7 @@ class SemanticGraphNetwork(nn.Module):
 
     feature_scale: Tensor
     context_scale: Tensor
+    of_now: Tensor
     slot_temperature: Tensor
     goal_temperature: Tensor
 
@@ -113,18 +117,22 @@ class SemanticGraphNetwork(nn.Module):
         self.settings = settings
         self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE), persistent=False)
         self.register_buffer("context_scale", torch.tensor(CONTEXT_SCALE), persistent=False)
+        of_now = torch.ones(CONTEXT_SIZE)
+        of_now[list(OF_THE_PAST)] = 0.0
+        self.register_buffer("of_now", of_now, persistent=False)
         # Fitted after training, see `learn.calibration`.
         self.register_buffer("slot_temperature", torch.ones(()))
         self.register_buffer("goal_temperature", torch.ones(()))
-        beside = CONTEXT_SIZE - ROAD_CONTEXT if settings.context else 0
+        self.context_size = CONTEXT_SIZE if settings.context else 0
+        beside = max(self.context_size - ROAD_CONTEXT, 0)
         encoded = NODE_FEATURES if settings.sequential else width
         if settings.sequential:
             self.evolution_gru = nn.GRU(width, width, batch_first=True)
         else:
             self.absolute_gru = nn.GRU(NODE_FEATURES, width, batch_first=True)
             self.relative_gru = nn.GRU(NODE_FEATURES, width, batch_first=True)
-        self.absolute_encoder = _dense(encoded + beside, width)
-        self.relative_encoder = _dense(encoded + beside, width)
+        self.absolute_encoder = dense(encoded + beside, width)
+        self.relative_encoder = dense(encoded + beside, width)
         self.combine = nn.Linear(2 * width, width)
         self.relations = nn.ModuleList(
             Relations(width, settings.heads) for _ in range(settings.graph_layers)
@@ -133,31 +141,38 @@ class SemanticGraphNetwork(nn.Module):
         # No bias: the same for all nodes, it changes no order.
         self.race_head = nn.Sequential(
             nn.Dropout(settings.race_dropout),
-            _dense(width, width),
+            dense(width, width),
             nn.Linear(width, 1, bias=False),
         )
         if settings.context:
             # The road ahead says how far, not who goes first: it is kept from the slots, where
             # it would only tell one place from another.
-            self.road_encoder = _dense(ROAD_CONTEXT + 1, width)
+            self.road_encoder = dense(ROAD_CONTEXT + 1, width)
             self.race_skip = nn.Linear(len(RACE_FEATURES), 1, bias=False)
         if settings.slots == "race":
             self.ego_bias = nn.Parameter(torch.zeros(()))
         known = (2 if settings.context else 1) * width + 2 * settings.goal_knows_slots
         steps = len(PROFILE_S) if settings.profile else 0
-        # Of every mean: how it is told from its base.
-        self.per_mean = 1 + (ANCHORS if settings.goal_base == "anchors" else 0)
+        bases = 1
+        if settings.goal_base == "anchors":
+            bases = ANCHORS if settings.context else ANCHORS_OF_FEATURES
+        # Of every mean: how far it is from its base, and which base.
+        self.per_mean = 1 + (bases if bases > 1 else 0)
         self.goal_head = nn.Sequential(
-            _dense(known, width),
+            dense(known, width),
             nn.Linear(width, (2 + self.per_mean) * settings.components + steps),
         )
         if settings.slot_modes:
-            # The ego's node, the slot's, and whether to yield -> goal, crossing, profile.
+            # The ego's node, the slot's, and whether to yield -> crossing, goal, profile. Its own
+            # goal is one more base.
+            self.per_mode = 2 + (1 + bases if bases > 1 else 0)
             self.mode_head = nn.Sequential(
-                _dense(known + width + 1, width), nn.Linear(width, 1 + self.per_mean + steps)
+                dense(known + width + 1, width), nn.Linear(width, self.per_mode + steps)
             )
 
     def forward(self, batch: GraphBatch) -> Intention:
+        if not self.settings.temporal:
+            batch = replace(batch, context=batch.context * self.of_now)
         mask = batch.node_mask
         absolute, relative = self._histories(batch)  # [N, T, 8] of the N nodes there are
         context = self._context(batch)
@@ -184,12 +199,7 @@ class SemanticGraphNetwork(nn.Module):
 
     def _context(self, batch: GraphBatch) -> Tensor:
         """Scaled [N, CONTEXT_SIZE], or [N, 0] without."""
-        if not self.settings.context:
-            return batch.context[batch.node_mask][:, :0]
-        context = batch.context[batch.node_mask] / self.context_scale
-        if not self.settings.temporal:
-            context[:, OF_THE_PAST] = 0.0
-        return context
+        return (batch.context[batch.node_mask] / self.context_scale)[:, : self.context_size]
 
     def _evolve(self, absolute: Tensor, relative: Tensor, beside: Tensor, mask: Tensor) -> Tensor:
         """The latent evolution z [N, width] of every node."""
@@ -227,7 +237,8 @@ class SemanticGraphNetwork(nn.Module):
     def _with_prior(self, utility: Tensor, batch: GraphBatch) -> Tensor:
         if self.settings.slots == "softmax" or not self.settings.context:
             return utility
-        return utility - RACE_PER_S * batch.context[..., RACE_FEATURES[0]]
+        earliest_s, gate = (batch.context[..., column] for column in RACE_FEATURES[:2])
+        return utility - RACE_PER_S * earliest_s - RACE_PER_GATE * gate
 
     def _first(self, utility: Tensor, batch: GraphBatch) -> Tensor:
         """[N, 2]: how probably each node's vehicle is the first to cross, if it may be."""
@@ -255,34 +266,38 @@ class SemanticGraphNetwork(nn.Module):
         steps = out.shape[-1] - count * (2 + self.per_mean)
         weight, means, wide, change = out.split((count, count * self.per_mean, count, steps), -1)
         weight = weight.log_softmax(-1)
-        mean = self._goal_m(
-            batch.x[:, :, None, -1], batch.context[:, :, None], means.unflatten(-1, (count, -1))
-        )
+        bases = self._bases_m(batch.x[:, :, -1], batch.context)
+        mean = _goal_m(bases.unsqueeze(-2), means.unflatten(-1, (count, -1)))
         std = MIN_GOAL_STD_M + GOAL_SCALE_M * nn.functional.softplus(wide - 2.0)
         goal = (weight.exp() * mean).sum(-1)
-        return Intention(
+        change = self._change(change)
+        found = Intention(
             slot_logit=slot_logit,
             goal_log_weight=weight,
             goal_mean_m=mean,
             goal_std_m=std * self.goal_temperature,
-            profile_m=profile_m(goal, speed, self._change(change)),
-            modes=self._modes(z, known, goal, batch) if self.settings.slot_modes else None,
+            profile_m=profile_m(goal, speed, change),
+            modes=self._modes(z, known, goal, change, batch) if self.settings.slot_modes else None,
         )
+        return by_slots(found) if self.settings.goal_by_slots and not self.training else found
 
-    def _goal_m(self, now: Tensor, context: Tensor, out: Tensor) -> Tensor:
-        """Goals [...] from features now [..., 7], context [..., C] and `per_mean` outputs."""
-        base_m: Tensor | float = 0.0
-        if self.settings.goal_base == "speed":
-            base_m = HORIZON_S * now[..., REAR_MPS]
-        elif self.settings.goal_base == "anchors":
-            base_m = (out[..., 1:].softmax(-1) * anchors_m(now, context)).sum(-1)
-        return nn.functional.softplus(base_m + GOAL_SCALE_M * out[..., 0])
+    def _bases_m(self, now: Tensor, context: Tensor) -> Tensor:
+        """What goals are a change of [..., B], from features now [..., 7] and context [..., C]."""
+        if self.settings.goal_base == "anchors":
+            seen = anchors_of_features_m(now)
+            if not self.context_size:
+                return seen
+            return torch.cat((seen, anchors_of_context_m(now, context)), -1)
+        even = HORIZON_S * now[..., REAR_MPS : REAR_MPS + 1]
+        return even if self.settings.goal_base == "speed" else torch.zeros_like(even)
 
     def _change(self, out: Tensor) -> Tensor:
         """Changes [..., P] of a profile; none without the setting."""
         return out if self.settings.profile else out.new_zeros((*out.shape[:-1], len(PROFILE_S)))
 
-    def _modes(self, z: Tensor, known: Tensor, goal: Tensor, batch: GraphBatch) -> SlotModes:
+    def _modes(
+        self, z: Tensor, known: Tensor, goal: Tensor, change: Tensor, batch: GraphBatch
+    ) -> SlotModes:
         focus = batch.focus_mask
         several = focus & focus[:, 1:].any(-1, keepdim=True)
         ego, slot = several.nonzero(as_tuple=True)
@@ -293,92 +308,41 @@ class SemanticGraphNetwork(nn.Module):
         yields = (slot == 0).to(z.dtype).unsqueeze(-1)
         out = self.mode_head(torch.cat((known[first[ego]], padded[ego, slot], yields), -1))
         now = batch.x[ego, 0, -1]
-        of_slot = self._goal_m(now, batch.context[ego, 0], out[:, 1 : 1 + self.per_mean])
+        bases = goal[ego, :1].detach()
+        if self.settings.goal_base == "anchors":
+            bases = torch.cat((bases, self._bases_m(now, batch.context[ego, 0])), -1)
         crossing = earliest_s(now[:, REAR_M], now[:, REAR_MPS]) + CROSSING_SCALE_S * out[:, 0]
-        # Who has no choice has one mode, that of its own goal.
+        # Who has no choice has one mode: its own goal, and way to it.
         goals = torch.zeros_like(goal)
         goals[:, 0] = goal[:, 0]
-        changes = goal.new_zeros((*goal.shape, len(PROFILE_S)))
+        changes = torch.zeros_like(change)
+        changes[:, 0] = change[:, 0]
         crossings = torch.zeros_like(goal)
-        goals[ego, slot] = of_slot
-        changes[ego, slot] = self._change(out[:, 1 + self.per_mean :])
+        goals[ego, slot] = _goal_m(bases, out[:, 1 : self.per_mode])
+        changes[ego, slot] = change[ego, 0].detach() + self._change(out[:, self.per_mode :])
         crossings[ego, slot] = nn.functional.softplus(crossing)
         speeds = batch.x[:, :1, -1, REAR_MPS].expand_as(goals)
         return SlotModes(goals, profile_m(goals, speeds, changes), crossings)
 
 
-def frozen_sgn(network: SemanticGraphNetwork) -> Callable[[GraphBatch], Intention]:
-    """The network for prediction only, as one program: the same numbers in less time.
+def _goal_m(bases_m: Tensor, out: Tensor) -> Tensor:
+    """Goals [...] from their bases [..., B] and outputs: how far from them, and which of them."""
+    chosen = (out[..., 1:].softmax(-1) * bases_m).sum(-1) if out.shape[-1] > 1 else bases_m[..., 0]
+    return nn.functional.softplus(chosen + GOAL_SCALE_M * out[..., 0])
 
-    For any number of graphs with as many nodes and frames as `graph.build_graphs` makes.
+
+def by_slots(found: Intention) -> Intention:
+    """The same, with every ego's goal and profile half way to those expected over its slots.
+
+    What one does for each slot, and which slot one takes, hold elsewhere better than how far one
+    gets here: two opinions are better than one.
     """
-    graphs = GraphBatch(
-        x=torch.zeros(2, MAX_NODES, HISTORY_FRAMES, len(FEATURE_SCALE)),
-        context=torch.zeros(2, MAX_NODES, CONTEXT_SIZE),
-        node_mask=torch.ones(2, MAX_NODES, dtype=torch.bool),
-        focus_mask=torch.ones(2, MAX_NODES, dtype=torch.bool),
-        history_mask=torch.ones(2, MAX_NODES, HISTORY_FRAMES, dtype=torch.bool),
-    )
-    with warnings.catch_warnings():
-        # Deprecated in favour of a compiler that a user's machine may not have.
-        warnings.simplefilter("ignore")
-        program = torch.jit.freeze(torch.jit.trace(_AsTuples(network).eval(), _tensors(graphs)))
-
-    def predict(batch: GraphBatch) -> Intention:
-        *of_nodes, modes = program(*_tensors(batch))
-        return Intention(*of_nodes, modes=SlotModes(*modes) if modes else None)
-
-    return predict
-
-
-class _AsTuples(nn.Module):
-    """The network as a function of tensors, to be traced."""
-
-    def __init__(self, network: SemanticGraphNetwork) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, *tensors: Tensor) -> tuple[Any, ...]:
-        found = self.network(GraphBatch(*tensors))
-        of_nodes = (getattr(found, one.name) for one in fields(found) if one.name != "modes")
-        return *of_nodes, () if found.modes is None else _tensors(found.modes)
-
-
-def _tensors(of: GraphBatch | SlotModes) -> tuple[Tensor, ...]:
-    return tuple(getattr(of, one.name) for one in fields(of))
-
-
-class Relations(nn.Module):
-    """f_att and f^4_enc: what a node is told by all nodes, itself among them, and makes of it."""
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        # One dense layer on a concatenated pair is the sum of one on each of the two.
-        self.attend_sender = nn.Linear(width, heads)
-        self.attend_receiver = nn.Linear(width, heads, bias=False)
-        self.evolve = _dense((heads + 1) * width, width)
-
-    def forward(self, told: Tensor, own: Tensor, mask: Tensor) -> Tensor:
-        """[N, width] from what nodes tell and have [N, width] each; `mask` [E, M] of the nodes."""
-        padded = told.new_zeros((*mask.shape, told.shape[-1]))
-        padded[mask] = told
-        receiver = self.attend_receiver(padded).permute(0, 2, 1).unsqueeze(-1)  # [E, heads, M, 1]
-        sender = self.attend_sender(padded).permute(0, 2, 1).unsqueeze(-2)
-        score = nn.functional.leaky_relu(receiver + sender, 0.2)  # [E, heads, receiver, sender]
-        score = score.masked_fill(~mask[:, None, None], float("-inf"))
-        heard = score.softmax(-1) @ padded.unsqueeze(1)
-        related = heard.permute(0, 2, 1, 3).flatten(2)[mask]
-        return self.evolve(torch.cat((related, own), -1))
-
-
-def earliest_s(distance_m: Tensor, speed_mps: Tensor) -> Tensor:
-    """Time to a place at `ACCELERATION_MPS2` from now on; 0 behind it."""
-    speed = speed_mps.clamp(min=0.0)
-    ahead = distance_m.clamp(min=0.0)
-    root = (speed**2 + 2.0 * ACCELERATION_MPS2 * ahead).clamp(min=1e-9).sqrt()
-    return (root - speed).clamp(min=0.0) / ACCELERATION_MPS2
-
-
-def _dense(inputs: int, width: int) -> nn.Sequential:
-    """A dense layer with tanh, as in the paper's table of layers."""
-    return nn.Sequential(nn.Linear(inputs, width), nn.Tanh())
+    if found.modes is None:
+        return found
+    chance = found.slot_logit.exp().unsqueeze(-1)
+    expected = (chance * found.modes.profile_m).sum(1)  # [E, P]
+    profile = 0.5 * (found.profile_m[:, 0] + expected)
+    shift = profile[:, -1:] - found.profile_m[:, 0, -1:]
+    mean = torch.cat((found.goal_mean_m[:, :1] + shift[:, None], found.goal_mean_m[:, 1:]), 1)
+    profiles = torch.cat((profile[:, None], found.profile_m[:, 1:]), 1)
+    return replace(found, goal_mean_m=mean, profile_m=profiles)

@@ -34,13 +34,16 @@ class SgnSettings:
     """Beyond the paper: `graph.CONTEXT` beside the seven features."""
     goal_base: Literal["none", "speed", "anchors"] = "speed"
     """What goals are learnt as a change of. "none": the paper's. "speed": the distance at today's
-    speed. "anchors": a choice among plain things to do, see `anchors.py`; needs `context`."""
+    speed. "anchors": a choice among plain things to do, see `anchors.py`."""
     goal_knows_slots: bool = False
     """Beyond the paper: how probably a vehicle is the first to cross tells how far it gets."""
     profile: bool = False
     """Beyond the paper: the way to the goal, half second by half second, is learnt."""
     slot_modes: bool = False
     """Beyond the paper: the ego's goal and time of crossing for every slot it may take."""
+    goal_by_slots: bool = False
+    """Beyond the paper: half of the ego's goal is what it does for each slot, by their
+    probability. Nothing without `slot_modes`."""
 
     class_weight: float = 2.0
     """Beta of the paper's loss."""
@@ -76,7 +79,13 @@ def paper_sgn() -> SgnSettings:
 
 def best_sgn() -> SgnSettings:
     """The network that predicts best, in places it was not trained on above all."""
-    return SgnSettings(profile=True, slot_modes=True)
+    return SgnSettings(
+        goal_base="anchors",
+        goal_knows_slots=True,
+        profile=True,
+        slot_modes=True,
+        goal_by_slots=True,
+    )
 
 
 def paper_variants(settings: SgnSettings) -> dict[str, SgnSettings]:

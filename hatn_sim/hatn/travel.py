@@ -7,6 +7,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from hatn_sim.speed_profile import ACCELERATION_MPS2
+
 PROFILE_S: Final = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 """When the distances of a profile are travelled; the last is the goal's."""
 HORIZON_S: Final = 3.0
@@ -45,3 +47,11 @@ def braking_m(distance_m: Tensor, speed_mps: Tensor) -> Tensor:
     distance, speed = distance_m.clamp(min=1e-3), speed_mps.clamp(min=0.0)
     moving = speed * HORIZON_S - (speed * HORIZON_S) ** 2 / (4.0 * distance)
     return torch.where(distance < 0.5 * HORIZON_S * speed, distance, moving).clamp(min=0.0)
+
+
+def earliest_s(distance_m: Tensor, speed_mps: Tensor) -> Tensor:
+    """Time to a place at `ACCELERATION_MPS2` from now on; 0 behind it."""
+    speed = speed_mps.clamp(min=0.0)
+    ahead = distance_m.clamp(min=0.0)
+    root = (speed**2 + 2.0 * ACCELERATION_MPS2 * ahead).clamp(min=1e-9).sqrt()
+    return (root - speed).clamp(min=0.0) / ACCELERATION_MPS2

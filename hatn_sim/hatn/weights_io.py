@@ -199,7 +199,7 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
         )
     wanted = get_type_hints(kind)
     for name in names:
-        expected = _unfit(found[name], wanted[name], RANGES.get(name))
+        expected = unfit(found[name], wanted[name], RANGES.get(name))
         if expected:
             raise InputError(
                 f"weights card {path}: {network}.{name}: expected {expected}, "
@@ -208,7 +208,7 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
     return kind(**found)
 
 
-def _unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
+def unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
     """What was expected in place of a setting's value; "" where it is fit."""
     if get_origin(wanted) is Literal:
         return "" if value in get_args(wanted) else "one of " + ", ".join(get_args(wanted))

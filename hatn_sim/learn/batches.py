@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TypeVar
 
 import numpy as np
 import torch
+from torch import nn
 
 from hatn_sim.datatypes import IntArray
 from hatn_sim.hatn.sgn import GraphBatch
 from hatn_sim.learn.dataset import Samples
 
 JUDGED_AT_ONCE = 2048
+Batch = TypeVar("Batch")
 
 
 def batches(
@@ -21,6 +24,16 @@ def batches(
     order = np.arange(count) if random is None else random.permutation(count)
     for start in range(0, count, size):
         yield order[start : start + size]
+
+
+def on(device: torch.device, batch: Batch) -> Batch:
+    """The same batch, a dataclass of tensors, on another device."""
+    return type(batch)(**{name: value.to(device) for name, value in vars(batch).items()})
+
+
+def device_of(model: nn.Module) -> torch.device:
+    """Where a network is."""
+    return next(model.parameters()).device
 
 
 def graph_batch(samples: Samples, rows: IntArray) -> GraphBatch:

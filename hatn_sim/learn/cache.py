@@ -43,6 +43,7 @@ NO_PART_IN_SAMPLES: Final = (
     "report",
     "score",
     "bench",
+    "evaluation",
     "cli",
     "hatn/edn",
     "hatn/sgn",
@@ -136,6 +137,7 @@ def key_of(traffic: Traffic) -> str:
     said = {
         "scenario": _without_folders(asdict(replace(scenario, recorded=None, card={}))),
         "cases": () if recorded is None else own_cases(recorded),
+        "lines": None if recorded is None or recorded.drawn is None else recorded.drawn.sha256,
         "seed": traffic.seed,
         "warm_up_s": traffic.warm_up_s,
         "duration_s": traffic.duration_s,

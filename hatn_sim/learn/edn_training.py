@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -14,6 +13,7 @@ from hatn_sim.hatn import edn_plain
 from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch, edn_loss
 from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.learn.augment import mirror_vehicles, random_scale, scale_vehicles
+from hatn_sim.learn.batches import device_of, on
 from hatn_sim.learn.dataset import Samples
 
 EARLY_WEIGHT: Final = 20.0
@@ -47,14 +47,16 @@ def training_loss(
     batch = vehicle_batch(samples, rows)
     goal_m = torch.from_numpy(goals_m[rows])
     mask = torch.from_numpy(samples.future_mask[rows] & samples.on_line[rows, None]).float()
-    settings = model.settings
+    settings, device = model.settings, device_of(model)
+    mask = mask.to(device)
     if settings.decoder == "kinematic":
         future = torch.from_numpy(samples.future_xy[rows])
         scale = random_scale(len(rows))
         mirrored = torch.rand(len(rows)) < MIRRORED
         batch, future, goal_m = scale_vehicles(batch, future, goal_m, scale)
         batch, future = mirror_vehicles(batch, future, mirrored)
-        return edn_loss(model(batch, goal_m), future, mask, BY_STEP)
+        said = model(on(device, batch), goal_m.to(device))
+        return edn_loss(said, future.to(device), mask, BY_STEP.to(device))
     truth = edn_plain.targets(
         settings,
         batch.at,
@@ -63,9 +65,10 @@ def training_loss(
             for values in (samples.future, samples.future_xy, samples.future_motion)
         ),
     )
+    truth = truth.to(device)
     teacher = truth if settings.teacher_forcing and model.training else None
-    said = model.native(batch, goal_m, teacher=teacher)
-    return edn_loss(said, truth, mask, torch.ones(HORIZON_FRAMES))
+    said = model.native(on(device, batch), goal_m.to(device), teacher=teacher)
+    return edn_loss(said, truth, mask, torch.ones(HORIZON_FRAMES, device=device))
 
 
 @torch.no_grad()
@@ -74,11 +77,13 @@ def displacements_m(
 ) -> Float32Array:
     """Displacement [R, F] in the map at every step, of the rows whose future is wholly known."""
     model.eval()
+    device = device_of(model)
     errors = [np.zeros((0, HORIZON_FRAMES), np.float32)]
     for rows in np.array_split(np.arange(len(samples)), len(samples) // 2048 + 1):
         known = rows[samples.future_mask[rows].all(axis=1)]
         if len(known):
-            out = model(vehicle_batch(samples, known), torch.from_numpy(goals_m[known]))
+            goal_m = torch.from_numpy(goals_m[known]).to(device)
+            out = model(on(device, vehicle_batch(samples, known)), goal_m).cpu()
             errors.append(np.linalg.norm(out.numpy() - samples.future_xy[known], axis=-1))
     return np.concatenate(errors)
 
@@ -89,12 +94,3 @@ def figures(
     """ADE over 3 s and over 0.3 s in metres."""
     distance = displacements_m(model, samples, goals_m)
     return {"ade_3s_m": float(distance.mean()), "ade_0s3_m": float(distance[:, :3].mean())}
-
-
-def batches(
-    count: int, size: int, random: np.random.Generator | None = None
-) -> Iterator[np.ndarray]:
-    """Row numbers in batches, shuffled where a generator is given."""
-    order = np.arange(count) if random is None else random.permutation(count)
-    for start in range(0, count, size):
-        yield order[start : start + size]

@@ -14,12 +14,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Final, get_type_hints
 
 from hatn_sim.errors import InputError, nearest
 from hatn_sim.hatn.edn import PAPER, EdnSettings
 from hatn_sim.hatn.sgn_settings import SgnSettings, best_sgn, paper_sgn
-from hatn_sim.hatn.weights_io import RANGES
+from hatn_sim.hatn.weights_io import RANGES, unfit
 from hatn_sim.learn.fit import FitSettings
 from hatn_sim.learn.split_file import read_toml
 
@@ -36,7 +36,7 @@ class TrainingSettings:
 
 FORMS: Final[Mapping[str, TrainingSettings]] = {
     "hatn": TrainingSettings(),
-    "paper": TrainingSettings(sgn=paper_sgn(), edn=PAPER),
+    "paper": TrainingSettings(paper_sgn(), PAPER),
 }
 """`hatn` is the best that we know, `paper` has the paper's networks."""
 SECTIONS: Final = tuple(one.name for one in fields(TrainingSettings))
@@ -58,11 +58,12 @@ def read_settings(path: Path, basis: TrainingSettings) -> TrainingSettings:
 
 def changed(basis: TrainingSettings, where: str, values: Mapping[str, Any]) -> TrainingSettings:
     """`basis` with the values of keys like `sgn.width`. Raises InputError as `read_settings`."""
+    ranges = {**RANGES, **FIT_RANGES}
     for key, value in values.items():
         check_key(where, key)
         section, _, name = key.partition(".")
         old = getattr(basis, section)
-        expected = _expected(get_type_hints(type(old))[name], name, value)
+        expected = unfit(value, get_type_hints(type(old))[name], ranges.get(name))
         if expected:
             raise InputError(f"{where}: {key}: expected {expected}, found {value!r}")
         basis = replace(basis, **{section: replace(old, **{name: value})})
@@ -96,18 +97,3 @@ def _flat(where: str, content: Mapping[str, Any]) -> dict[str, Any]:
             raise InputError(f"{where}: {section}: expected a table [{section}], found {values!r}")
         flat |= {f"{section}.{name}": value for name, value in values.items()}
     return flat
-
-
-def _expected(wanted: Any, name: str, value: object) -> str:
-    """What was expected in place of a setting's value; "" where it is fit."""
-    if get_origin(wanted) is Literal:
-        return "" if value in get_args(wanted) else "one of " + ", ".join(get_args(wanted))
-    if wanted is str:
-        return "" if isinstance(value, str) else "a word"
-    if wanted is bool:
-        return "" if isinstance(value, bool) else "true or false"
-    low, high = (FIT_RANGES | dict(RANGES)).get(name, (float("-inf"), float("inf")))
-    types = int if wanted is int else (int, float)
-    if isinstance(value, types) and not isinstance(value, bool) and low <= value <= high:
-        return ""
-    return f"{'a whole number' if wanted is int else 'a number'} from {low:g} to {high:g}"

@@ -14,7 +14,7 @@ from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.learn.augment import change_limits, random_scale, scale_graphs
-from hatn_sim.learn.batches import batches, graph_batch
+from hatn_sim.learn.batches import batches, device_of, graph_batch, on
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.sgn_loss import sgn_loss, targets
 
@@ -23,7 +23,7 @@ JUDGED_BY: Final = "goal_error_m"
 
 
 class Fit(Protocol):
-    """Fits a model to samples by a loss, judged by figures; see `learn.train`."""
+    """Fits a model to samples by a loss, judged by figures; see `learn.fit`."""
 
     def __call__(
         self,
@@ -52,7 +52,9 @@ def sgn_batch_loss(model: SemanticGraphNetwork, samples: Samples, rows: IntArray
     """The loss of rows of the samples, drawn at other scales and under other speed limits."""
     scale = random_scale(len(rows))
     batch = scale_graphs(change_limits(graph_batch(samples, rows)), scale)
-    parts = sgn_loss(model(batch), batch, targets(samples, rows, scale), model.settings)
+    device = device_of(model)
+    batch, truth = on(device, batch), on(device, targets(samples, rows, scale))
+    parts = sgn_loss(model(batch), batch, truth, model.settings)
     return torch.stack(list(parts.values())).sum()
 
 
@@ -60,14 +62,15 @@ def sgn_figures(model: SemanticGraphNetwork, samples: Samples) -> dict[str, floa
     """Goal error of the ego in metres and slot accuracy on samples."""
     errors, right, several = [], 0, 0
     for rows in batches(len(samples)):
-        batch = graph_batch(samples, rows)
+        batch = on(device_of(model), graph_batch(samples, rows))
         with torch.no_grad():
             intention = model(batch)
         known = samples.goal_mask[rows, 0]
-        errors.append(np.abs(intention.goal_m()[:, 0].numpy() - samples.goal_m[rows, 0])[known])
+        goal_m = intention.goal_m()[:, 0].cpu().numpy()
+        errors.append(np.abs(goal_m - samples.goal_m[rows, 0])[known])
         slot = samples.slot[rows]
         counts = (slot >= 0) & (samples.focus_mask[rows].sum(axis=1) > 1)
-        chosen = intention.slot_logit.argmax(-1).numpy()
+        chosen = intention.slot_logit.argmax(-1).cpu().numpy()
         right += int((chosen == slot)[counts].sum())
         several += int(counts.sum())
     return {

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 import traceback
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
-from multiprocessing import get_context
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 from hatn_sim.datatypes import CASE_HISTORY_FRAMES, HISTORY_FRAMES, Frame, Simulator
 from hatn_sim.errors import HatnSimError, SimulatorError
+from hatn_sim.evaluation.pool import Stopped, Teller, work_on
 from hatn_sim.learn.cache import SampleCache
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.learn.split import Traffic
@@ -24,8 +20,11 @@ from hatn_sim.simulators.recorded import RecordedSimulator
 from hatn_sim.traffic import open_traffic
 
 
-def samples_of(traffic: Traffic) -> Samples:
-    """Play a piece of traffic and cut its samples. Raises InputError, SimulatorError."""
+def samples_of(traffic: Traffic, tell: Callable[[int], object] = lambda _: None) -> Samples:
+    """Play a piece of traffic and cut its samples; `tell` is told of every step.
+
+    Raises InputError, SimulatorError.
+    """
     with closing(open_traffic(traffic.scenario)) as simulator:
         first = simulator.reset(traffic.seed)
         first = warm_up(simulator, first, round(traffic.warm_up_s / simulator.dt_s))
@@ -33,7 +32,7 @@ def samples_of(traffic: Traffic) -> Samples:
         has_cases = recorded and simulator.recording.ids_by == "cases"
         return samples_of_run(
             simulator.road,
-            _frames(simulator, first, traffic.duration_s),
+            _frames(simulator, first, traffic.duration_s, tell),
             history_frames=CASE_HISTORY_FRAMES if has_cases else HISTORY_FRAMES,
         )
 
@@ -55,15 +54,12 @@ def gather(
         watch.step(f"traffic to {part}", len(have), len(traffic), f"{counted}{words}")
 
     tell(f", {len(traffic) - len(missing)} from the cache")
-    if missing:
-        with _workers(min(workers, len(missing))) as pool:
-            jobs = {pool.submit(_cut, traffic[k]): k for k in missing}
-            for job in as_completed(jobs):
-                k = jobs[job]
-                found[k] = samples = _result(job, traffic[k])
-                if (trouble := cache.store(traffic[k], samples)) is not None:
-                    watch.say(trouble)
-                tell()
+    jobs = [traffic[k] for k in missing]
+    for number, samples in work_on(_cut, jobs, workers, lambda *_: None):
+        found[missing[number]] = samples
+        if (trouble := cache.store(jobs[number], samples)) is not None:
+            watch.say(trouble)
+        tell()
     return concatenate([samples for samples in found if samples is not None])
 
 
@@ -74,32 +70,14 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-@contextmanager
-def _workers(count: int) -> Generator[ProcessPoolExecutor]:
-    """Processes that are gone when it ends, in whatever way."""
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=_leave_on_ctrl_c)
-    try:
-        yield pool
-    except BaseException:
-        for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _leave_on_ctrl_c() -> None:
-    """The command that is interrupted speaks; its workers go without a word."""
-    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
-
-
-def _cut(traffic: Traffic) -> Samples:
+def _cut(traffic: Traffic, teller: Teller) -> Samples:
     """`samples_of` in a worker, whose errors are one line that names the traffic."""
     try:
-        return samples_of(traffic)
+        return samples_of(traffic, teller.tell)
     except HatnSimError as error:
         raise type(error)(f"{traffic.name}: {error}") from None
+    except Stopped:
+        raise
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         raise SimulatorError(
@@ -108,17 +86,9 @@ def _cut(traffic: Traffic) -> Samples:
         ) from None
 
 
-def _result(job: Future[Samples], traffic: Traffic) -> Samples:
-    try:
-        return job.result()
-    except BrokenProcessPool:
-        raise SimulatorError(
-            f"{traffic.name}: a worker process died, for lack of memory perhaps; give the same "
-            "command again, with fewer --workers"
-        ) from None
-
-
-def _frames(simulator: Simulator, first: Frame, duration_s: float | None) -> Iterator[Frame]:
+def _frames(
+    simulator: Simulator, first: Frame, duration_s: float | None, tell: Callable[[int], object]
+) -> Iterator[Frame]:
     """`first` and what follows in `duration_s`, or to the end."""
     steps = None if duration_s is None else round(duration_s / simulator.dt_s)
     frame, done = first, 0
@@ -126,4 +96,5 @@ def _frames(simulator: Simulator, first: Frame, duration_s: float | None) -> Ite
     while not frame.done and done != steps:
         frame = simulator.step()
         done += 1
+        tell(done)
         yield frame

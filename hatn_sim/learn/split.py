@@ -110,15 +110,18 @@ def traffic_of_scenes(
 
 
 def traffic_of_tracks(
-    patterns: Sequence[str], map_path: Path | None, recordings: str = ""
+    patterns: Sequence[str], map_path: Path | None, recordings: str = "", lines: str = "auto"
 ) -> list[Traffic]:
     """Every recording of some tracks; `recordings` names those wanted, as `000-014`: else all.
 
-    Raises InputError as `load_tracks` does.
+    `lines`: reference lines along the "lanes" of the map, along those drawn from the "tracks" of
+    other recordings, or "auto", from tracks where there are enough.
+
+    Raises InputError as `load_tracks` and `with_track_lines` do.
     """
     whole = load_tracks(patterns, map_path, recording_names(recordings))
     found: list[Traffic] = []
-    for scenario in each_recording(whole):
+    for scenario in each_recording(whole, lines):
         assert scenario.recorded is not None
         files = own_files(scenario.recorded)
         cases = frozenset(own_cases(scenario.recorded))
@@ -235,9 +238,10 @@ def _card(part: Sequence[Traffic]) -> list[dict[str, Any]]:
             entry["seeds"].append(one.seed)
             continue
         is_run = scenario.recorded.map_path is None
-        key = (scenario.name, is_run)
         kind = "runs" if is_run else "recordings"
-        entry = entries.setdefault(key, {"site": scenario.name, kind: []})
+        lines = "lanes" if scenario.recorded.drawn is None else "tracks"
+        key = (scenario.name, kind, lines)
+        entry = entries.setdefault(key, {"site": scenario.name, "lines": lines, kind: []})
         cases = own_cases(scenario.recorded)
         names = [path.resolve().name for path in own_files(scenario.recorded)]
         entry[kind].append({"files": names, "cases": list(cases)} if cases else ", ".join(names))

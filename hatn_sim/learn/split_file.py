@@ -38,10 +38,11 @@ from hatn_sim.resources import find_scenarios
 
 KEYS: Final[Mapping[str, tuple[str, ...]]] = {
     "scenes": ("scenes", "seeds", "risks", "density", "duration_s", "warm_up_s"),
-    "tracks": ("tracks", "map", "recordings"),
+    "tracks": ("tracks", "map", "recordings", "lines"),
     "runs": ("runs",),
 }
 """What a table has, by the key that tells its kind."""
+LINES: Final = ("lanes", "tracks", "auto")
 
 
 def read_split(path: Path) -> Split:
@@ -101,7 +102,10 @@ def _traffic(path: Path, where: str, table: Any) -> list[Traffic]:
     if kind == "tracks":
         patterns = [str(folder / pattern) for pattern in values.texts("tracks")]
         return traffic_of_tracks(
-            patterns, folder / values.text("map"), values.text("recordings", "")
+            patterns,
+            folder / values.text("map"),
+            values.text("recordings", ""),
+            values.choice("lines", LINES, "auto"),
         )
     shipped = find_scenarios()
     scenes = [word if word in shipped else _beside(folder, word) for word in values.texts("scenes")]
@@ -138,6 +142,12 @@ class _Values:
         if not isinstance(value, list | tuple) or not all(isinstance(one, str) for one in value):
             raise self._wrong(key, "a list of texts", value)
         return tuple(value)
+
+    def choice(self, key: str, known: tuple[str, ...], default: str) -> str:
+        value = self.text(key, default)
+        if value not in known:
+            raise InputError(f"{self._where}: {key}: unknown {value!r}{nearest(value, known)}")
+        return value
 
     def number(self, key: str, default: float | None = None) -> float:
         value = self._table.get(key, default)

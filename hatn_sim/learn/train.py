@@ -126,6 +126,10 @@ def collect(plan: TrainingPlan, watch: Watch) -> tuple[Samples, Samples]:
     found: list[Samples] = []
     for part in ("train", "tune"):
         traffic = plan.split.part(part)
+        recorded = [one.scenario.recorded for one in traffic]
+        for notice in dict.fromkeys(one.lines_notice for one in recorded if one is not None):
+            if notice:
+                watch.say(f"traffic to {part}: {notice}")
         samples = gather(part, traffic, plan.cache, workers, watch)
         _check_samples(part, samples, len(traffic))
         found.append(samples)

@@ -71,7 +71,9 @@ def load_predictor(name: str, weights: Path | None = None, adapt: str = "none") 
     if name in READS_WEIGHTS:
         from hatn_sim.hatn.predictor import Hatn
 
-        return Hatn(weights_of(name, weights), name, adapt)
+        if adapt != "none":
+            raise InputError(f"unknown adaptation {adapt!r}; known: none")
+        return Hatn(weights_of(name, weights), name)
     if name in PREDICTORS:
         return PREDICTORS[name](weights)
     if ":" not in name:

@@ -6,27 +6,29 @@ from dataclasses import replace
 from pathlib import Path
 
 from hatn_sim.config import RecordedSource, Scenario
+from hatn_sim.recordings.interaction.files import group_files
+from hatn_sim.recordings.interaction.table import InteractionTable
+from hatn_sim.recordings.track_lines.source import one_by_one, with_track_lines
 
 
-def each_recording(scenario: Scenario) -> list[Scenario]:
+def each_recording(scenario: Scenario, lines: str) -> list[Scenario]:
     """A scene for each recording of recorded tracks, in order.
 
     One for each file where files have cases, or for all of them where some cases were chosen.
+    `lines`: what reference lines are drawn along, see `track_lines.source.with_track_lines`.
 
     Raises InputError where a recording is wanted that is not there, or files are at fault.
     """
     source = scenario.recorded
     assert source is not None
-    if not _is_interaction(source) or _has_cases(source):
-        alone = [(path,) for path in source.tracks]
-        if _is_interaction(source) and source.recordings:
-            alone = [source.tracks]
-        return [replace(scenario, recorded=replace(source, tracks=paths)) for paths in alone]
-    from hatn_sim.recordings.interaction.files import group_files
-
+    if _is_interaction(source) and not _has_cases(source):
+        return one_by_one(scenario, lines)
+    alone = [(path,) for path in source.tracks]
+    if _is_interaction(source) and source.recordings:
+        alone = [source.tracks]
     return [
-        replace(scenario, recorded=replace(source, recordings=(one.name,)))
-        for one in group_files(source.tracks, source.recordings)
+        with_track_lines(replace(scenario, recorded=replace(source, tracks=paths)), (), lines)
+        for paths in alone
     ]
 
 
@@ -34,8 +36,6 @@ def own_files(source: RecordedSource) -> tuple[Path, ...]:
     """The files of the recordings that are shown, of all tracks that were named."""
     if not _is_interaction(source) or _has_cases(source):
         return source.tracks
-    from hatn_sim.recordings.interaction.files import group_files
-
     found = group_files(source.tracks, source.recordings)
     return tuple(path for one in found for path in one.paths)
 
@@ -51,7 +51,4 @@ def _is_interaction(source: RecordedSource) -> bool:
 
 
 def _has_cases(source: RecordedSource) -> bool:
-    from hatn_sim.recordings.interaction.files import group_files
-    from hatn_sim.recordings.interaction.table import InteractionTable
-
     return InteractionTable(group_files(source.tracks, ())[0].paths[0]).has_cases

@@ -46,12 +46,12 @@ def paper_table(table: PaperTable, entries: Sequence[Entry], clustered_over: str
     Mean and deviation over samples, as the paper prints them; below ours, its 95 % interval. The
     best of every column has a star. Where measures are of different samples, n is of each.
     """
-    parts: list[Table | Text] = []
+    parts: list[Table | Text] = [Text(table.title, style="bold"), Text()]
     for scene in dict.fromkeys(entry.scene for entry in entries):
         of_scene = [entry for entry in entries if entry.scene == scene]
         for first in range(0, len(table.measures), BESIDE):
             measures = table.measures[first : first + BESIDE]
-            parts += [_side_by_side(table.title, scene, measures, of_scene), Text()]
+            parts += [_side_by_side(scene, measures, of_scene), Text()]
     note = f"paper: {table.source}; * best; ± of samples"
     if any(entry.ours is not None for entry in entries):
         note += f"; [low high] 95 % interval, bootstrapped over {clustered_over}"
@@ -59,13 +59,11 @@ def paper_table(table: PaperTable, entries: Sequence[Entry], clustered_over: str
     return Group(*parts)
 
 
-def _side_by_side(
-    title: str, scene: str, measures: Sequence[str], entries: Sequence[Entry]
-) -> Table:
+def _side_by_side(scene: str, measures: Sequence[str], entries: Sequence[Entry]) -> Table:
     scenario = entries[0].paper_scenario
     like = f"; paper: {scenario}" if scenario is not None and scenario != scene else ""
     grid = Table(
-        title=f"{title}\n{scene}{like}",
+        title=f"{scene}{like}",
         title_justify="left",
         title_style="bold",
         box=None,

@@ -14,6 +14,8 @@ from hatn_sim.datatypes import FloatArray, IntArray
 
 RESAMPLES = 1000
 LEVEL = 0.95
+BOUNDS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+"""Quantiles of the resamples, where the interval ends."""
 SEED = 0
 MIN_RUNS = 5
 """From this many pooled runs, recordings or cases on, these are the clusters, below it vehicles."""
@@ -40,9 +42,34 @@ def interval(sums: FloatArray, statistic: Statistic) -> tuple[float, float] | No
     Returns:
         (low, high), or None where fewer than two clusters leave nothing to draw from.
     """
-    clusters = len(sums)
-    if clusters < 2:
+    if len(sums) < 2:
         return None
+    values = statistic(_resampled(sums))
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return None
+    low, high = np.quantile(values, BOUNDS)
+    return float(low), float(high)
+
+
+def mean_intervals(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The intervals (low [D], high [D]) of the means of D values, as `interval` has each of them.
+
+    `sums` [G, D + 1] are those of the values in each cluster, and behind them their number. NaN
+    where fewer than two clusters leave nothing to draw from.
+    """
+    if len(sums) < 2:
+        nothing = np.full(sums.shape[1] - 1, np.nan)
+        return nothing, nothing
+    drawn = _resampled(sums)
+    drawn = drawn[drawn[:, -1] > 0]
+    low, high = np.quantile(drawn[:, :-1] / drawn[:, -1:], BOUNDS, axis=0)
+    return low, high
+
+
+def _resampled(sums: FloatArray) -> FloatArray:
+    """[RESAMPLES, D] the sums over as many clusters, drawn from these [G, D] with replacement."""
+    clusters = len(sums)
     rng = np.random.default_rng(SEED)
     # Drawing G clusters with replacement is drawing how often each occurs. A hundred resamples
     # at a time keep memory small.
@@ -50,12 +77,7 @@ def interval(sums: FloatArray, statistic: Statistic) -> tuple[float, float] | No
         rng.multinomial(clusters, np.full(clusters, 1.0 / clusters), size=100) @ sums
         for _ in range(RESAMPLES // 100)
     ]
-    values = statistic(np.concatenate(drawn))
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return None
-    low, high = np.quantile(values, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
-    return float(low), float(high)
+    return np.concatenate(drawn)
 
 
 def ratio(sums: FloatArray) -> FloatArray:

@@ -39,6 +39,7 @@ from hatn_sim.datatypes import (
     Scene,
     Score,
 )
+from hatn_sim.line_choice import LineChoice
 from hatn_sim.lines import empty_lines, follow_lines
 from hatn_sim.loop import RELEASE_FRAMES
 from hatn_sim.road import Road
@@ -171,11 +172,19 @@ class PassageBook:
 class LineJudge:
     """Follows a run frame by frame, by inference and by the true routes, and collects samples.
 
-    `run` names the run, so that vehicles of several runs stay apart.
+    `run` names the run, so that vehicles of several runs stay apart. Lines are chosen by `choice`,
+    None: the one that ships.
     """
 
-    def __init__(self, road: Road, edge_of: Callable[[str], str], run: str) -> None:
+    def __init__(
+        self,
+        road: Road,
+        edge_of: Callable[[str], str],
+        run: str,
+        choice: LineChoice | None = None,
+    ) -> None:
         self._road, self._book, self._run = road, PassageBook(road, edge_of), run
+        self._choice = choice
         self._tracks = empty_tracks()
         self._mine, self._true = empty_lines(), empty_lines()
         self._frames = 0
@@ -185,7 +194,7 @@ class LineJudge:
         """One frame on; with `counts` it is judged."""
         road, scene, routes = self._road, frame.scene, frame.truth.routes
         self._tracks = extend(self._tracks, scene)
-        self._mine, mine = follow_lines(self._mine, road, self._tracks, scene)
+        self._mine, mine = follow_lines(self._mine, road, self._tracks, scene, choice=self._choice)
         self._true, true = follow_lines(self._true, road, self._tracks, scene, routes)
         if counts:
             self._parts.append(judge_lines(road, self._book, scene, mine, true))

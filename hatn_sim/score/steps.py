@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hatn_sim.datatypes import HORIZON_FRAMES, FloatArray, IntArray
+from hatn_sim.datatypes import FloatArray, IntArray
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.log import Run
 from hatn_sim.score import intervals
@@ -76,20 +76,14 @@ def step_errors(
 ) -> StepErrors:
     """Of the errors [S, F] of samples, which belong together as `cluster` [S] says; S > 0."""
     sums = intervals.cluster_sums(np.column_stack([error_m, np.ones(len(error_m))]), cluster)
-    none = (np.nan, np.nan)
-    bounds = np.array(
-        [
-            intervals.interval(sums[:, [step, -1]], intervals.ratio) or none
-            for step in range(HORIZON_FRAMES)
-        ]
-    )
+    low_m, high_m = intervals.mean_intervals(sums)
     return StepErrors(
         scene=scene,
         predictor=predictor,
         subset=subset,
         mean_m=error_m.mean(axis=0),
         std_m=error_m.std(axis=0),
-        low_m=bounds[:, 0],
-        high_m=bounds[:, 1],
+        low_m=low_m,
+        high_m=high_m,
         n=len(error_m),
     )

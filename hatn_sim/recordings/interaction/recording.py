@@ -56,6 +56,7 @@ class InteractionRecording:
         assert source.map_path is not None
         self._name = name
         self._map_path = source.map_path
+        self._drawn, self._lines_notice = source.drawn, source.lines_notice
         self._recordings = group_files(source.tracks, ())
         self._found: dict[str, None] = {}  # notices on what has been read, in order
         paths = [path for recorded in self._recordings for path in recorded.paths]
@@ -82,7 +83,8 @@ class InteractionRecording:
 
     @property
     def lanes(self) -> Sequence[Lane]:
-        return self._lanes
+        """Those of the map, or those drawn from tracks of other recordings."""
+        return self._map_lanes if self._drawn is None else self._drawn.lanes
 
     @property
     def notices(self) -> Sequence[str]:
@@ -100,6 +102,13 @@ class InteractionRecording:
         if beside:
             more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
             notices.append(f"read along with the vehicles: {', '.join(beside[:3])}{more}")
+        if self._drawn is not None:
+            notices.append(
+                f"reference lines drawn from {self._drawn.vehicles} vehicles of "
+                f"{len(self._drawn.recordings)} other recordings; where none drove, the map's lanes"
+            )
+        if self._lines_notice:
+            notices.append(self._lines_notice)
         return [*notices, *self._found]
 
     def frames(self) -> Iterator[Frame]:
@@ -132,7 +141,7 @@ class InteractionRecording:
                 index += 1
 
     @cached_property
-    def _lanes(self) -> Sequence[Lane]:
+    def _map_lanes(self) -> Sequence[Lane]:
         return read_lanes(self._map_path)
 
     def _moments(self) -> Iterator[Moment]:
@@ -142,7 +151,7 @@ class InteractionRecording:
         known: list[str] = []
         for recorded in self._recordings:
             with Spool(ROW) as spool:
-                found = scan(recorded, self._cases, self.lanes, self._map_path, spool)
+                found = scan(recorded, self._cases, self._map_lanes, self._map_path, spool)
                 known += found.cases
                 self._found.update(dict.fromkeys(found.notices))
                 if recorded is self._recordings[-1]:

@@ -1,0 +1,109 @@
+"""Which parameters of the EDN are each vehicle's own, and what they do to its positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final, Literal
+
+import torch
+from torch import Tensor
+
+from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
+from hatn_sim.hatn.adaptation import linearise
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, Parameters, VehicleBatch, frozen
+from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
+
+Layer = Literal[
+    "encoder_input",
+    "encoder_hidden",
+    "decoder_input",
+    "decoder_hidden",
+    "dense1",
+    "dense2",
+    "dense3",
+]
+LAYERS: Final[Mapping[Layer, tuple[str, str]]] = {
+    "encoder_input": ("encoder.weight_ih_l0", "encoder.bias_ih_l0"),
+    "encoder_hidden": ("encoder.weight_hh_l0", "encoder.bias_hh_l0"),
+    "decoder_input": ("decoder.weight_ih", "decoder.bias_ih"),
+    "decoder_hidden": ("decoder.weight_hh", "decoder.bias_hh"),
+    "dense1": ("dense1.weight", "dense1.bias"),
+    "dense2": ("dense2.weight", "dense2.bias"),
+    "dense3": ("dense3.weight", "dense3.bias"),
+}
+"""Weight and bias of a layer, in the order that a signal meets them."""
+STEADY_MPS: Final = 8.0
+
+
+def prior_of(network: EncoderDecoderNetwork, layer: Layer) -> Tensor:
+    """The trained parameters [P] of a layer, weight and bias in one row."""
+    weight, bias = (network.get_parameter(name).detach() for name in LAYERS[layer])
+    return torch.cat((weight, bias[:, None]), 1).flatten()
+
+
+def own_parameters(network: EncoderDecoderNetwork, layer: Layer, theta: Tensor) -> Parameters:
+    """`theta` [B, P] as the parameters that the network takes for each vehicle."""
+    weight, bias = LAYERS[layer]
+    outputs, inputs = network.get_parameter(weight).shape
+    rows = theta.view(-1, outputs, inputs + 1)
+    return {weight: rows[..., :-1], bias: rows[..., -1]}
+
+
+def positions_with(
+    network: EncoderDecoderNetwork,
+    layer: Layer,
+    theta: Tensor,
+    batch: VehicleBatch,
+    goal_m: Tensor,
+    steps: int,
+) -> Tensor:
+    """Positions [B, steps, 2] in metres with parameters `theta` [B, P], each vehicle's own."""
+    own = own_parameters(network, layer, theta)
+    out: Tensor = network(batch, goal_m, steps, own)
+    return out
+
+
+def decoder_of(
+    network: EncoderDecoderNetwork, layer: Layer, as_program: bool
+) -> Callable[[Tensor, VehicleBatch, Tensor], Tensor]:
+    """The whole future [B, F, 2] from theta [B, P], batch and goals; see `positions_with`."""
+    if not (as_program and layer == "dense3"):
+
+        def decode(theta: Tensor, batch: VehicleBatch, goal_m: Tensor) -> Tensor:
+            return positions_with(network, layer, theta, batch, goal_m, HORIZON_FRAMES)
+
+        return decode
+    program = frozen(network, own_last_layer=True)
+    weight, bias = LAYERS[layer]
+
+    def run(theta: Tensor, batch: VehicleBatch, goal_m: Tensor) -> Tensor:
+        own = own_parameters(network, layer, theta)
+        return program(batch.history, batch.line, batch.at, goal_m, own[weight], own[bias])
+
+    return run
+
+
+def sensitivity_m2(network: EncoderDecoderNetwork, layer: Layer, steps: int) -> float:
+    """The mean of |dy/dtheta|^2 over the positions y of a vehicle that drives on steadily.
+
+    What a variance of the parameters means in metres: layers and networks are of many sizes.
+    """
+    time_s = DT_S * torch.arange(1 - HISTORY_FRAMES, 1)
+    columns = {
+        "s_m since now along the own line": STEADY_MPS * time_s,
+        "speed_mps along the line": torch.full_like(time_s, STEADY_MPS),
+        "seen": torch.ones_like(time_s),
+        "x_m in the vehicle's frame of now": STEADY_MPS * time_s,
+        "speed_mps": torch.full_like(time_s, STEADY_MPS),
+    }
+    history = torch.stack([columns.get(name, torch.zeros_like(time_s)) for name in HISTORY], -1)
+    ahead_m = torch.tensor(LINE_AT_M, dtype=torch.float32)
+    line = torch.stack((ahead_m, torch.zeros_like(ahead_m)), -1)
+    batch = VehicleBatch(history[None], line[None], torch.zeros(1, 5))
+    count = network.settings.goal_steps
+    goal_m = STEADY_MPS * 3.0 * torch.arange(1, count + 1)[None] / count
+    _, jacobian = linearise(
+        lambda theta: positions_with(network, layer, theta, batch, goal_m, steps).flatten(1),
+        prior_of(network, layer)[None],
+    )
+    return float(jacobian.square().sum() / jacobian.shape[1])

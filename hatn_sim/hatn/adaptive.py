@@ -1,0 +1,95 @@
+"""HATN that learns from every vehicle while it watches: `Hatn` with online adaptation around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.datatypes import Prediction, Route, Scene, SemanticGraphs
+from hatn_sim.graph import build_graphs
+from hatn_sim.hatn.adaptation_memory import (
+    AdaptationSettings,
+    AdaptationState,
+    adapter_of,
+    correction_m,
+    first,
+    follow,
+    moment_of,
+)
+from hatn_sim.hatn.inputs import to_map_frame
+from hatn_sim.hatn.predictor import Hatn, told_goal_m
+from hatn_sim.hatn.sgn import Intention
+from hatn_sim.perception import PerceptionState
+from hatn_sim.road import Road
+
+DEFAULT: Final = AdaptationSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptiveState:
+    """What was perceived and made of it, and learnt; None where no vehicle is on a line."""
+
+    perception: PerceptionState
+    graphs: SemanticGraphs
+    intention: Intention | None
+    adaptation: AdaptationState | None
+
+
+class AdaptiveHatn:
+    """The predictions of `hatn`, corrected by what each vehicle did in the last tenths of a second.
+
+    Goals are predicted at every frame, since the past is predicted again for the goal of then; a
+    prediction that is asked for shares them. Vehicles of `unadapted` are predicted as `hatn` does.
+    """
+
+    def __init__(
+        self,
+        hatn: Hatn,
+        settings: AdaptationSettings = DEFAULT,
+        unadapted: frozenset[str] = frozenset(),
+    ) -> None:
+        self.name = hatn.name
+        self._hatn = hatn
+        self._adapter = adapter_of(hatn.weights.edn, settings, as_program=True)
+        self._unadapted = unadapted
+
+    def init(self, road: Road) -> AdaptiveState:
+        perception = self._hatn.init(road)
+        return AdaptiveState(perception, build_graphs(road, perception.seen), None, None)
+
+    def observe(
+        self,
+        state: AdaptiveState,
+        scene: Scene,
+        routes: tuple[Route | None, ...] | None = None,
+    ) -> AdaptiveState:
+        perception = self._hatn.observe(state.perception, scene, routes)
+        graphs = build_graphs(perception.road, perception.seen)
+        if not len(graphs.ego):
+            return AdaptiveState(perception, graphs, None, None)
+        intention = self._hatn.intend(graphs)
+        # A copy: what is made for inference alone cannot be differentiated by.
+        goal_m = told_goal_m(self._hatn.weights.edn, intention.profile_m[:, 0]).clone()
+        moment = moment_of(perception.road, perception.seen, graphs.ego, goal_m)
+        before = state.adaptation
+        after = (
+            follow(self._adapter, before, moment, self._unadapted)
+            if before
+            else first(self._adapter, moment)
+        )
+        return AdaptiveState(perception, graphs, intention, after)
+
+    def predict(self, state: AdaptiveState) -> Prediction:
+        prediction = self._hatn.predict_graphs(state.perception, state.graphs, state.intention)
+        if state.adaptation is None:
+            return prediction
+        row, moved_m = correction_m(self._adapter, state.adaptation)
+        moment = state.adaptation.moment
+        vehicle = state.graphs.ego[row]
+        xy_m, adapted = prediction.xy_m.copy(), prediction.adapted.copy()
+        nowhere = np.zeros((len(row), 2))
+        xy_m[vehicle] += to_map_frame(moved_m, nowhere, moment.yaw_rad[row])[:, None]
+        adapted[vehicle] = True
+        return replace(prediction, xy_m=xy_m, adapted=adapted)

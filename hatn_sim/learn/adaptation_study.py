@@ -1,0 +1,249 @@
+"""What online adaptation gains and costs: the paper's ADE 1 to 4 over steps, layers and methods.
+
+A scene is watched once: perception, graphs and goals of every frame are kept, and what is swept
+over is computed from them. Runs of several seeds are watched side by side, so that their vehicles
+are filtered in one batch.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from io import StringIO
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, Frame, IntArray
+from hatn_sim.graph import build_graphs
+from hatn_sim.hatn.adaptation_memory import (
+    MAX_STEPS,
+    AdaptationSettings,
+    AdaptationState,
+    Adapter,
+    Moment,
+    adapter_of,
+    faded,
+    first,
+    follow,
+    joined,
+    moment_of,
+    rows_of,
+)
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch
+from hatn_sim.hatn.inputs import to_vehicle_frame
+from hatn_sim.hatn.predictor import Hatn, told_goal_m
+from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+from hatn_sim.road import Road
+from hatn_sim.tracks import rows_before
+
+NOBODY: Final[frozenset[str]] = frozenset()
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """K frames of traffic as the adaptation reads them, and where everybody was."""
+
+    moments: tuple[Moment, ...]  # [K]
+    vehicle: tuple[IntArray, ...]  # [K] of [E]: row of `xy_m`
+    scored: tuple[BoolArray, ...]  # [K] of [E]: long enough on its line, and the future is known
+    xy_m: FloatArray  # [V, K, 2] in the map, NaN where the vehicle was not in view
+
+
+@dataclass(frozen=True)
+class AdaptationRow:
+    """Mean errors in metres over n predictions, of the trained network and of the adapted one.
+
+    ADE 1 and 3 are of what is predicted again from `steps` frames ago, over those frames and over
+    3 s; ADE 2 and 4 of what is predicted from now, over `steps` frames and over 3 s. `short` is
+    over 0.3 s from now, `fde` after 3 s.
+    """
+
+    scene: str
+    network: str
+    method: str
+    layer: str
+    steps: int
+    n: int
+    trained_ade1_m: float
+    trained_ade2_m: float
+    trained_ade3_m: float
+    trained_ade4_m: float
+    trained_short_m: float
+    trained_fde_m: float
+    adapted_ade1_m: float
+    adapted_ade2_m: float
+    adapted_ade3_m: float
+    adapted_ade4_m: float
+    adapted_short_m: float
+    adapted_fde_m: float
+
+    def error_m(self, measure: str, which: str) -> float:
+        """`measure` ("ade1" ... "ade4", "short", "fde") of "trained" or "adapted"."""
+        value: float = getattr(self, f"{which}_{measure}_m")
+        return value
+
+    def change(self, measure: str) -> float:
+        """By what share adaptation changes `measure`: less than 0 is better."""
+        return self.error_m(measure, "adapted") / self.error_m(measure, "trained") - 1.0
+
+
+def watch(hatn: Hatn, road: Road, frames: Iterable[Frame]) -> Watched:
+    """Perceive a run and predict the goals of every frame, with the SGN of `hatn`."""
+    state = hatn.init(road)
+    row_of: dict[str, int] = {}
+    moments: list[Moment] = []
+    seen: list[tuple[IntArray, FloatArray]] = []
+    for frame in frames:
+        scene = frame.scene
+        state = hatn.observe(state, scene)
+        rows = np.array([row_of.setdefault(name, len(row_of)) for name in scene.ids], np.int64)
+        seen.append((rows, scene.xy_m))
+        graphs = build_graphs(road, state.seen)
+        if len(graphs.ego):
+            goal_m = told_goal_m(hatn.weights.edn, hatn.intend(graphs).profile_m[:, 0]).clone()
+        else:
+            goal_m = torch.zeros(0, hatn.weights.edn.settings.goal_steps)
+        moments.append(moment_of(road, state.seen, graphs.ego, goal_m))
+    xy_m = np.full((len(row_of), len(seen), 2), np.nan)
+    for k, (rows, xy) in enumerate(seen):
+        xy_m[rows, k] = xy
+    vehicle = [np.array([row_of[name] for name in m.ids], dtype=np.int64) for m in moments]
+    return Watched(tuple(moments), tuple(vehicle), _scored(moments, vehicle, xy_m), xy_m)
+
+
+def _scored(
+    moments: Sequence[Moment], vehicle: Sequence[IntArray], xy_m: FloatArray
+) -> tuple[BoolArray, ...]:
+    """The same samples for any number of steps: MAX_STEPS frames on the line, 3 s to come."""
+    since = np.zeros(len(xy_m), dtype=np.int64)
+    on = np.full(len(xy_m), -1)
+    scored: list[BoolArray] = []
+    for k, (moment, rows) in enumerate(zip(moments, vehicle, strict=True)):
+        stayed = (on[rows] == moment.line) & moment.whole
+        frames = np.where(stayed, since[rows] + 1, 0)
+        since[:], on[:] = 0, -1
+        since[rows], on[rows] = frames, moment.line
+        ahead = xy_m[rows, k + 1 : k + 1 + HORIZON_FRAMES]
+        known = np.isfinite(ahead).all(axis=(1, 2)) & (ahead.shape[1] == HORIZON_FRAMES)
+        scored.append((frames >= MAX_STEPS) & known & (k % SAMPLE_EVERY_FRAMES == 0))
+    return tuple(scored)
+
+
+def side_by_side(runs: Sequence[Watched]) -> Watched:
+    """Runs of as many frames each as if they were one traffic whose parts never meet."""
+    first_row = np.cumsum([0, *(len(run.xy_m) for run in runs)])
+    return Watched(
+        tuple(
+            joined(
+                [
+                    replace(m, ids=tuple(f"{r}:{name}" for name in m.ids))
+                    for r, m in enumerate(moments)
+                ]
+            )
+            for moments in zip(*(run.moments for run in runs), strict=True)
+        ),
+        tuple(
+            np.concatenate([row + start for row, start in zip(rows, first_row[:-1], strict=True)])
+            for rows in zip(*(run.vehicle for run in runs), strict=True)
+        ),
+        tuple(np.concatenate(masks) for masks in zip(*(run.scored for run in runs), strict=True)),
+        np.concatenate([run.xy_m for run in runs]),
+    )
+
+
+def adaptation_row(
+    scene: str,
+    name: str,
+    network: EncoderDecoderNetwork,
+    watched: Watched,
+    settings: AdaptationSettings,
+) -> AdaptationRow:
+    """One figure of a study: a whole scene filtered with `settings`; `name` is the network's."""
+    adapter = adapter_of(network, settings)
+    past, now = errors_m(adapter, watched)
+    steps = settings.steps
+    figures: dict[str, float] = {}
+    for column, which in enumerate(("trained", "adapted")):
+        again, ahead = past[:, column], now[:, column]
+        figures |= {
+            f"{which}_ade1_m": float(again[:, :steps].mean()),
+            f"{which}_ade2_m": float(ahead[:, :steps].mean()),
+            f"{which}_ade3_m": float(again.mean()),
+            f"{which}_ade4_m": float(ahead.mean()),
+            f"{which}_short_m": float(ahead[:, :3].mean()),
+            f"{which}_fde_m": float(ahead[:, -1].mean()),
+        }
+    return AdaptationRow(scene, name, settings.method, settings.layer, steps, len(now), **figures)
+
+
+def errors_m(adapter: Adapter, watched: Watched) -> tuple[FloatArray, FloatArray]:
+    """Displacements [n, 2, F] by step, trained and adapted: from `steps` frames ago, and from now.
+
+    Both of the adapted are by the parameters of now, faded as predictions are.
+    """
+    steps = adapter.settings.steps
+    past: list[FloatArray] = [np.zeros((0, 2, HORIZON_FRAMES))]
+    now: list[FloatArray] = [np.zeros((0, 2, HORIZON_FRAMES))]
+    state = first(adapter, watched.moments[0])
+    for k, moment in enumerate(watched.moments[1:], start=1):
+        before, state = state, follow(adapter, state, moment, NOBODY)
+        rows = np.flatnonzero(watched.scored[k])
+        if not len(rows):
+            continue
+        theta = state.filter.theta[torch.from_numpy(rows)]
+        pose = np.column_stack((moment.xy_m, moment.yaw_rad))[rows]
+        vehicle = watched.vehicle[k][rows]
+        ahead = watched.xy_m[vehicle, k + 1 : k + 1 + HORIZON_FRAMES]
+        batch = rows_of(moment.batch, rows)
+        now.append(_errors(adapter, theta, batch, moment.goal_m[rows], pose, ahead))
+        was = rows_before(before.moment.ids, moment.ids)[rows]
+        oldest = _oldest(before, was)
+        start = k - steps + 1
+        driven = watched.xy_m[vehicle, start : start + HORIZON_FRAMES]
+        past.append(_errors(adapter, theta, *oldest, before.pose[was, 0], driven))
+    return np.concatenate(past), np.concatenate(now)
+
+
+def _oldest(state: AdaptationState, rows: IntArray) -> tuple[VehicleBatch, Tensor]:
+    """What the network read of vehicles as long ago as is kept, and the goals of then."""
+    batch = rows_of(state.batch, rows)
+    return VehicleBatch(batch.history[:, 0], batch.line[:, 0], batch.at[:, 0]), state.goal_m[
+        rows, 0
+    ]
+
+
+def _errors(
+    adapter: Adapter,
+    theta: Tensor,
+    batch: VehicleBatch,
+    goal_m: Tensor,
+    pose: FloatArray,
+    driven_m: FloatArray,
+) -> FloatArray:
+    """Displacements [B, 2, F] from `driven_m` [B, F, 2] of the map, predicted at `pose` [B, 3]."""
+    with torch.inference_mode():
+        trained, adapted = (
+            adapter.decode(own, batch, goal_m)
+            for own in (adapter.prior.expand(len(theta), -1), theta)
+        )
+        adapted = trained + faded(adapter, adapted - trained)
+    truth = to_vehicle_frame(driven_m, pose[:, :2], pose[:, 2])
+    said = torch.stack((trained, adapted), 1).double().numpy()
+    distance: FloatArray = np.linalg.norm(said - truth[:, None], axis=-1)
+    return distance
+
+
+def as_csv(rows: Sequence[AdaptationRow]) -> str:
+    """The rows as text, one line each below a header, metres to a tenth of a millimetre."""
+    text = StringIO()
+    writer = csv.DictWriter(text, [field.name for field in fields(AdaptationRow)])
+    writer.writeheader()
+    for row in rows:
+        writer.writerow(
+            {key: f"{v:.4f}" if isinstance(v, float) else v for key, v in asdict(row).items()}
+        )
+    return text.getvalue()

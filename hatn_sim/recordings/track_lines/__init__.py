@@ -1,0 +1,1 @@
+"""Reference lines from where people drove: lanes drawn from unlabelled tracks of a site."""
