@@ -20,6 +20,7 @@ from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import load_weights
 from hatn_sim.learn.augment import free_travel_m, scale_graphs
+from hatn_sim.learn.batches import graph_batch
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.learn.fit import FitSettings
 from hatn_sim.learn.settings import FORMS, TrainingSettings
