@@ -229,7 +229,9 @@ def test_the_command(
     assert {entry["table"] for entry in listed} == {part.key for part in EDN}
     for other, expected in (
         (["--table", "sgn", "--rows", "no.json"], "no.json: there are no rows of ablations"),
-        (["--table", "sgn", "--seeds", "1"], "--seeds is of no use to --table sgn"),
+        (["--table", "sgn", "--risk", "assertive"], "--risk is of no use to --table sgn"),
+        ([*words[1:], "--seeds", "1"], "--seeds is of no use with --rows"),
+        (["--table", "adaptation", "--epochs", "1"], "--epochs is of no use to --table adaptation"),
         (["--rows", "rows.json"], "--rows is of no use without --table"),
     ):
         assert cli.main(["evaluate", *other]) == 2

@@ -4,7 +4,11 @@ Every seed of a scene, and every recording, is a run of its own; all cores work 
 logged in OUT/runs and used again by the same command with the same --out. With --table, something
 else is put into a table:
 
-`sgn`, `edn`, `intention`, `adaptation`, `summary`: the paper's ablations, its numbers beside ours.
+`sgn`, `edn`, `intention`, `summary`: the paper's ablations. Every network of the table is trained
+on some 20,000 samples of the first scene and judged on all of them, its numbers beside the paper's;
+OUT/models keeps what is trained. `--split` names other traffic, such as recordings.
+
+`adaptation`: the paper's gain by online adaptation, ours beside it.
 
 `sota`: the paper's comparison with other methods beside the predictors that there are here.
 
@@ -43,13 +47,15 @@ if TYPE_CHECKING:
 EXAMPLES = """examples:
   hatn-sim evaluate --scenes intersection5,roundabout8 --seeds 601-605
   hatn-sim evaluate --tracks 'site/vehicle_tracks_*.csv' --map site.osm --recordings 017-021
+  hatn-sim evaluate --table intention --out ablations
+  hatn-sim evaluate --table edn --split site.toml --out ablations-of-site
   hatn-sim evaluate --table density
   hatn-sim evaluate --table density --scenes intersection5,my/town.sumocfg --seeds 1-5 --out town
   hatn-sim evaluate --table density --tracks 'site/vehicle_tracks_*.csv' --map site.osm
 """
-ABLATIONS: Final = ("sgn", "edn", "intention", "adaptation", "summary")
+ABLATIONS: Final = ("sgn", "edn", "intention", "summary")
 MODULES: Final = {
-    **dict.fromkeys(ABLATIONS, "evaluate_ablations"),
+    **dict.fromkeys((*ABLATIONS, "adaptation"), "evaluate_ablations"),
     "sota": "evaluate_sota",
     "runtime": "evaluate_runtime",
     "density": "evaluate_density",
@@ -74,9 +80,11 @@ PREDICTED: Final = {
     "risk": None,
     "workers": None,
 }
+TRAINED: Final = {"split": None, "epochs": None, "cache": None, "rows": None}
 """Options -> what they are when they are not given."""
 USED_BY: Final = {
-    **{table: {"rows"} for table in ABLATIONS},
+    **{table: {*TRAINED, "scenes", "seeds", "duration", "workers"} for table in ABLATIONS},
+    "adaptation": {"rows"},
     "sota": {*TRAFFIC, *PREDICTED},
     "runtime": {"scenes", "seeds", "weights"},
     "density": {*TRAFFIC},
@@ -134,13 +142,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rows",
         type=Path,
         metavar="FILE",
-        help="of the ablations' tables: what was reached (default: by what ships)",
+        help="of the ablations' tables: print what an earlier one wrote, TABLE-rows.json, and "
+        "train nothing",
+    )
+    parser.add_argument(
+        "--split",
+        type=Path,
+        metavar="FILE.toml",
+        help="of the ablations' tables: what to learn from, tune on and judge on, see `train`",
+    )
+    parser.add_argument(
+        "--epochs",
+        type=whole_number,
+        metavar="N",
+        help="of each network of an ablation, at most (default: 20)",
+    )
+    parser.add_argument(
+        "--cache",
+        metavar="FOLDER|none",
+        help="where samples for the ablations are kept (default: the system's)",
     )
     parser.add_argument(
         "--workers",
         type=whole_number,
         metavar="N",
-        help="runs made at once (default: as many as there are cores)",
+        help="runs made, or networks trained, at once (default: as many as there are cores)",
     )
     parser.add_argument(
         "--out",
@@ -183,9 +209,11 @@ def _check_used(arguments: argparse.Namespace) -> None:
 
     table: str | None = arguments.table
     known = {*TRAFFIC, *PREDICTED} if table is None else USED_BY[table]
-    for option, value in {**TRAFFIC, **PREDICTED, "rows": None}.items():
-        if getattr(arguments, option) != value and option not in known:
+    given = table in ABLATIONS and arguments.rows is not None
+    for option, value in {**TRAFFIC, **PREDICTED, **TRAINED}.items():
+        if getattr(arguments, option) != value and option not in ({"rows"} if given else known):
             where = "without --table" if table is None else f"to --table {table}"
+            where = "with --rows" if given else where
             name = option.replace("_", "-")
             raise InputError(f"--{name} is of no use {where}; leave it out")
 

@@ -37,7 +37,15 @@ def displacement_scores(
         goal_m: [S] distance really travelled in 3 s, which tells moving samples.
         cluster: [S]
     """
-    error_m = np.linalg.norm(predicted_xy_m - future_xy_m, axis=2).astype(np.float64)
+    error_m = np.linalg.norm(predicted_xy_m - future_xy_m, axis=2)
+    return error_scores(name, scene, error_m, goal_m, cluster)
+
+
+def error_scores(
+    name: str, scene: str, error_m: NDArray[Any], goal_m: NDArray[Any], cluster: IntArray
+) -> tuple[Score, ...]:
+    """The same of displacements [S, F] in metres."""
+    error_m = error_m.astype(np.float64)
     values = {
         "ade_3s": error_m.mean(axis=1),
         "ade_0s3": error_m[:, :SHORT_FRAMES].mean(axis=1),

@@ -38,6 +38,7 @@ DEPENDS_ON: Final = ("numpy", "scipy", "libsumo", "highway-env", "pyproj")
 NO_PART_IN_SAMPLES: Final = (
     "assist",
     "commands",
+    "evaluation",
     "predictors",
     "report",
     "score",

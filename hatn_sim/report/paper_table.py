@@ -26,6 +26,7 @@ class _Form:
     title: str
     factor: float
     decimals: int
+    more_is_better: bool = False
 
 
 FORMS: Final = {
@@ -33,7 +34,7 @@ FORMS: Final = {
     "ade_0s3": _Form("ADE 0.3 s, m", 1.0, 3),
     "fde_3s": _Form("FDE 3 s, m", 1.0, 3),
     "fde_0s3": _Form("FDE 0.3 s, m", 1.0, 3),
-    "slot_accuracy": _Form("accuracy, %", 100.0, 2),
+    "slot_accuracy": _Form("accuracy, %", 100.0, 2, more_is_better=True),
     "goal_error": _Form("goal error, m", 1.0, 2),
     "ade_2_change": _Form("change of ADE 2, %", 100.0, 1),
 }
@@ -42,7 +43,8 @@ FORMS: Final = {
 def paper_table(table: PaperTable, entries: Sequence[Entry], clustered_over: str) -> Group:
     """The entries that `compare` made of a table: for each scene, two measures side by side.
 
-    Mean and deviation over samples, as the paper prints them; below ours, its 95 % interval.
+    Mean and deviation over samples, as the paper prints them; below ours, its 95 % interval. The
+    best of every column has a star. Where measures are of different samples, n is of each.
     """
     parts: list[Table | Text] = [Text(table.title, style="bold"), Text()]
     for scene in dict.fromkeys(entry.scene for entry in entries):
@@ -50,7 +52,7 @@ def paper_table(table: PaperTable, entries: Sequence[Entry], clustered_over: str
         for first in range(0, len(table.measures), BESIDE):
             measures = table.measures[first : first + BESIDE]
             parts += [_side_by_side(scene, measures, of_scene), Text()]
-    note = f"paper: {table.source}; ± of samples"
+    note = f"paper: {table.source}; * best; ± of samples"
     if any(entry.ours is not None for entry in entries):
         note += f"; [low high] 95 % interval, bootstrapped over {clustered_over}"
     parts.append(Text(note, style="dim"))
@@ -73,26 +75,41 @@ def _side_by_side(scene: str, measures: Sequence[str], entries: Sequence[Entry])
         grid.add_column(f"{FORMS[measure].title}\npaper", justify="right", no_wrap=True)
         grid.add_column("\nours", justify="right", no_wrap=True)
     grid.add_column("\nn", justify="right", no_wrap=True)
+    best = {measure: _best(measure, entries) for measure in measures}
     for row in dict.fromkeys(entry.row for entry in entries):
         of_row = {entry.measure: entry for entry in entries if entry.row == row}
         cells: list[str] = []
         for measure in measures:
-            form, entry = FORMS[measure], of_row[measure]
-            cells += [_of_paper(entry.paper, form), _of_ours(entry.ours, form)]
+            form, entry, (of_paper, of_ours) = FORMS[measure], of_row[measure], best[measure]
+            cells += [_of_paper(entry.paper, form, of_paper), _of_ours(entry.ours, form, of_ours)]
         ours = [of_row[measure].ours for measure in measures]
-        n = max((score.n for score in ours if score is not None), default=0)
-        grid.add_row(row.replace("_", " "), *cells, f"{n:,}" if n else NONE)
+        counts = dict.fromkeys(score.n for score in ours if score is not None and score.n)
+        grid.add_row(row.replace("_", " "), *cells, "\n".join(f"{n:,}" for n in counts) or NONE)
     return grid
 
 
-def _of_paper(cell: Cell | None, form: _Form) -> str:
-    return NONE if cell is None else _number(cell.mean, cell.std, form.factor, cell.decimals)
+def _best(measure: str, entries: Sequence[Entry]) -> tuple[float | None, float | None]:
+    """The best of the paper's means of a measure, and the best of ours."""
+    best = max if FORMS[measure].more_is_better else min
+    of_measure = [entry for entry in entries if entry.measure == measure]
+    paper = [entry.paper.mean for entry in of_measure if entry.paper is not None]
+    ours = [entry.ours.value for entry in of_measure if entry.ours is not None]
+    known = [value for value in ours if value is not None]
+    return best(paper, default=None), best(known, default=None)
 
 
-def _of_ours(score: Score | None, form: _Form) -> str:
+def _of_paper(cell: Cell | None, form: _Form, best: float | None) -> str:
+    if cell is None:
+        return NONE
+    star = "*" if cell.mean == best else ""
+    return _number(cell.mean, cell.std, form.factor, cell.decimals) + star
+
+
+def _of_ours(score: Score | None, form: _Form, best: float | None) -> str:
     if score is None or score.value is None:
         return NONE
-    text = _number(score.value, score.std, form.factor, form.decimals)
+    star = "*" if score.value == best else ""
+    text = _number(score.value, score.std, form.factor, form.decimals) + star
     if score.low is not None and score.high is not None:
         low, high = (
             f"{form.factor * value:.{form.decimals}f}" for value in (score.low, score.high)
