@@ -266,7 +266,7 @@ def test_weights_of_another_version_missing_or_corrupt(
     card, content = weights.with_suffix(".json"), weights.read_bytes()
     written = card.read_text()
     card.write_text(json.dumps(json.loads(written) | {"format": 99}))
-    assert line().startswith(f"weights {weights}: format 99, this version reads format 2; train")
+    assert line().startswith(f"weights {weights}: format 99, this version reads format 3; train")
     card.write_text(written.replace('"width": 8', '"width": 9', 1))
     assert line().startswith(f"weights {weights}: cannot be read as the networks of its card (")
     card.write_text(written[:20])
