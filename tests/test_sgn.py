@@ -212,7 +212,7 @@ def test_without_time_only_the_present_is_read(form: SgnSettings) -> None:
 
 
 def test_anchors_by_hand() -> None:
-    """10 m/s; the front boundary 10 m and the conflict 45 m ahead; a leader 20 m ahead, 4 m/s; a gate at 12."""
+    """10 m/s; front boundary 10 m, gate 12 m, conflict 45 m ahead; a leader 20 m ahead, 4 m/s."""
     now = torch.tensor([35.0, 0.0, 0.0, 45.0, 10.0, 0.0, 10.0])
     assert anchors_of_features_m(now).tolist() == pytest.approx([30.0, 10.0, 30.0 - 5.0])
     context = torch.zeros(CONTEXT_SIZE)
