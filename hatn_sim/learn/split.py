@@ -121,14 +121,13 @@ def traffic_of_tracks(
     """
     whole = load_tracks(patterns, map_path, recording_names(recordings))
     found: list[Traffic] = []
-    for scenario in each_recording(whole, lines):
+    for name, scenario in each_recording(whole, lines).items():
         assert scenario.recorded is not None
         files = own_files(scenario.recorded)
         cases = frozenset(own_cases(scenario.recorded))
-        names = ", ".join(path.name.partition(".")[0] for path in files)
         found.append(
             Traffic(
-                name=f"{scenario.name}, {names}",
+                name=f"{scenario.name}, {name}",
                 scenario=scenario,
                 seed=0,
                 warm_up_s=0.0,
