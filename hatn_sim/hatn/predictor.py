@@ -37,7 +37,7 @@ class Hatn:
         self._drive = frozen(self.weights.edn)
 
     def init(self, road: Road) -> PerceptionState:
-        return begin(road)
+        return begin(road, self.weights.line_choice)
 
     def observe(
         self,
