@@ -133,8 +133,9 @@ def _draw_header(
     facts += [f"ego: {kind} {moments[0].ego_id}", f"predictor: {run.predictors[0]}"]
     if run.by_route:
         facts.append("lines from the simulator's routes")
-    if run.trained_on and head.get("scene") not in run.trained_on:
-        facts.append("never trained on this scene")
+    if case.kind.name == "transfer":
+        known = "never trained on this scene" if run.trained_on else "training scenes not known"
+        facts.append(known)
     x = MARGIN_IN
     page.text(
         x,
