@@ -11,6 +11,8 @@ from pathlib import Path
 from hatn_sim.errors import InputError
 
 PACKAGE_DIR = Path(__file__).resolve().parent
+LEARNING_PREFIX = "learn_"
+"""How the names of the shipped scenes begin that predictors learn on and are not tested on."""
 
 
 def scenarios_dir() -> Path:
@@ -34,6 +36,11 @@ def weights_dir() -> Path:
 def find_scenarios() -> dict[str, Path]:
     """The shipped scenes: name -> its scenario.toml, by name."""
     return {path.parent.name: path for path in sorted(scenarios_dir().glob("*/scenario.toml"))}
+
+
+def scenes_to_test_on() -> tuple[str, ...]:
+    """The names of the shipped scenes, but for those that are there to learn on."""
+    return tuple(name for name in find_scenarios() if not name.startswith(LEARNING_PREFIX))
 
 
 def find_agents() -> dict[str, Path]:

@@ -23,7 +23,7 @@ from hatn_sim.commands import scenarios
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame, Score
 from hatn_sim.log import read_run
-from hatn_sim.resources import find_scenarios
+from hatn_sim.resources import find_scenarios, scenes_to_test_on
 from hatn_sim.simulators.sumo import SumoSimulator
 
 NETS = Path(__file__).parent / "nets"
@@ -266,7 +266,7 @@ def test_weights_of_another_version_missing_or_corrupt(
     card, content = weights.with_suffix(".json"), weights.read_bytes()
     written = card.read_text()
     card.write_text(json.dumps(json.loads(written) | {"format": 99}))
-    assert line().startswith(f"weights {weights}: format 99, this version reads format 2; train")
+    assert line().startswith(f"weights {weights}: format 99, this version reads format 3; train")
     card.write_text(written.replace('"width": 8', '"width": 9', 1))
     assert line().startswith(f"weights {weights}: cannot be read as the networks of its card (")
     card.write_text(written[:20])
@@ -513,7 +513,11 @@ print("heavy:", [name for name in {HEAVY!r} if name in sys.modules])
 def test_scenarios_lists_every_scene_with_its_card(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of("scenarios", "--json") == 0
     listed = json.loads(capsys.readouterr().out)
-    assert [scene["name"] for scene in listed] == sorted(find_scenarios())
+    names = [scene["name"] for scene in listed]
+    assert sorted(names) == sorted(find_scenarios())
+    tested = scenes_to_test_on()
+    assert names[: len(tested)] == sorted(tested)  # those to learn on come last
+    assert all(name.startswith("learn_") for name in names[len(tested) :])
     for scene in listed:
         assert scene["title"] and scene["description"]
         if load_scenario(scene["name"]).simulator == "recorded":
@@ -532,6 +536,10 @@ def test_scenarios_lists_every_scene_with_its_card(capsys: pytest.CaptureFixture
                 unknown = {key for key, value in of_one["card"].items() if value is None}
                 assert unknown == (set() if by_sumo else {"mean_delay_s"})
                 assert of_one["measured"] is None
+    assert code_of("scenarios", "learn_tee3", "tjunction") == 0
+    table = capsys.readouterr().out
+    places = [table.index(word) for word in ("tjunction", "To learn on", "learn_tee3")]
+    assert places == sorted(places)
     assert code_of("scenarios", "roundabout8") == 0
     table = capsys.readouterr().out
     assert table.startswith("roundabout8  ")

@@ -256,6 +256,10 @@ def test_resources_of_a_clone_and_of_a_wheel(
     assert resources.find_scenarios() == {
         "corner": package / "_data" / "scenarios" / "corner" / "scenario.toml"
     }
+    (package / "_data" / "scenarios" / "learn_corner").mkdir()
+    (package / "_data" / "scenarios" / "learn_corner" / "scenario.toml").touch()
+    assert tuple(resources.find_scenarios()) == ("corner", "learn_corner")
+    assert resources.scenes_to_test_on() == ("corner",)
     assert resources.weights_dir() == package / "hatn" / "weights"
     (package / "hatn" / "weights").rmdir()
     with pytest.raises(InputError, match="expected the shipped weights here"):

@@ -22,7 +22,7 @@ from hatn_sim.datatypes import Frame, Kind, Scene, Truth
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import Perception, begin, perceive
 from hatn_sim.report.density_figure import bar_width, draw_density
-from hatn_sim.resources import find_scenarios
+from hatn_sim.resources import scenes_to_test_on
 from hatn_sim.road import Road
 from hatn_sim.score.density import (
     CRITERIA,
@@ -300,7 +300,7 @@ def test_another_table_is_handed_what_was_asked_for(monkeypatch: pytest.MonkeyPa
     assert evaluate("--table", "lines") == 0
     assert evaluate("--table", "lines", "--scenes", "a,b.sumocfg", "--seeds", "2-3") == 0
     first, second = asked
-    assert (first.scenes, first.seeds, first.duration) == (tuple(find_scenarios()), (1,), 120.0)
+    assert (first.scenes, first.seeds, first.duration) == (scenes_to_test_on(), (1,), 120.0)
     assert (first.warm_up, first.out, first.json, first.quiet) == (None, None, False, False)
     assert (second.scenes, second.seeds) == (("a", "b.sumocfg"), (2, 3))
 

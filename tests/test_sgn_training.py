@@ -16,7 +16,12 @@ from hatn_sim.learn.augment import mirror_graphs
 from hatn_sim.learn.batches import graph_batch
 from hatn_sim.learn.calibration import calibrate
 from hatn_sim.learn.dataset import Samples
-from hatn_sim.learn.sgn_training import predicted_profiles, sgn_batch_loss, sgn_figures
+from hatn_sim.learn.sgn_training import (
+    goal_share,
+    predicted_profiles,
+    sgn_batch_loss,
+    sgn_figures,
+)
 
 
 def samples_of(batch: GraphBatch, **known: Any) -> Samples:
@@ -103,8 +108,30 @@ def test_the_figures_by_hand() -> None:
     found = sgn_figures(model, samples_of(batch, goal_m=goal, goal_mask=known, slot=slot))
     assert found["goal_error_m"] == pytest.approx(1.0, abs=1e-5)
     assert found["slot_accuracy"] == pytest.approx(1 - len(wrong) / len(several))
+    sure = said.slot_logit.exp().max(-1).values.double().numpy()[several]
+    hit = np.isin(several, wrong, invert=True)
+    bins = np.minimum((sure * 15).astype(int), 14)
+    by_hand = sum(abs((sure - hit)[bins == k].sum()) for k in range(15)) / len(several)
+    assert found["slot_ece"] == pytest.approx(by_hand, abs=1e-6)
     profiles = predicted_profiles(model, samples_of(batch))
     np.testing.assert_allclose(profiles[:, -1], said.goal_m()[:, 0], rtol=1e-5)
+
+
+def test_goals_drawn_from_the_distribution_fall_evenly_into_it() -> None:
+    model, batch = sure_network(), batch_of(4000, 3)
+    with torch.no_grad():
+        said = model(batch)
+    random = torch.Generator().manual_seed(0)
+    component = torch.multinomial(said.goal_log_weight[:, 0].exp(), 1, generator=random)
+    mean, std = (v[:, 0].gather(1, component) for v in (said.goal_mean_m, said.goal_std_m))
+    goal = (mean + std * torch.randn(mean.shape, generator=random))[:, 0]
+    share = goal_share(said, goal.numpy())
+    for level in (0.1, 0.25, 0.5, 0.9):
+        assert (share < level).mean() == pytest.approx(level, abs=0.025)
+
+
+def test_nothing_known_gives_no_figures() -> None:
+    assert all(np.isnan(v) for v in sgn_figures(sure_network(), samples_of(batch_of(4))).values())
 
 
 def test_a_batch_costs_something_that_falls() -> None:

@@ -107,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=names,
         default=(),
         metavar="A,B",
-        help="names of scenes, or .sumocfg files (default: all that ship)",
+        help="names of scenes, or .sumocfg files (default: all shipped but those to learn on)",
     )
     parser.add_argument(
         "--seeds",
@@ -182,7 +182,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> int:
     """Hand over to the table's module."""
     from hatn_sim.errors import InputError
-    from hatn_sim.resources import find_scenarios
+    from hatn_sim.resources import scenes_to_test_on
 
     table: str | None = arguments.table
     _check_used(arguments)
@@ -191,7 +191,7 @@ def main(arguments: argparse.Namespace) -> int:
             if value is not None:
                 raise InputError(f"{option} {value} goes with --tracks; leave it out")
         if table in (None, "density", "lines"):
-            arguments.scenes = arguments.scenes or tuple(find_scenarios())
+            arguments.scenes = arguments.scenes or scenes_to_test_on()
     elif table == "lines":
         raise InputError("--table lines: recorded tracks know no routes; leave --tracks out")
     if table in ("density", "lines"):

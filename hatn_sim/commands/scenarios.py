@@ -3,6 +3,7 @@
 The figures are those of each scene's card, in its scenario.toml. With --measure they are measured
 anew, by running the scene, and stand beside the card's. Densities are measured with the default
 drivers, risk profiles at normal density; the first 300 s, while traffic builds up, are left out.
+Scenes to learn on come last, under a heading of their own; their cards are of one seed and 300 s.
 Delays are known of SUMO's scenes only.
 """
 
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from hatn_sim.commands.options import seconds, seeds, whole_number
+from hatn_sim.resources import LEARNING_PREFIX
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -95,7 +97,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.config import load_scenario
     from hatn_sim.resources import find_scenarios
 
-    names = arguments.names or list(find_scenarios())
+    names = sorted(arguments.names or find_scenarios(), key=_is_to_learn_on)
     scenes = {name: load_scenario(name) for name in names}
     measured: dict[Stretch, TrafficCount] = {}
     if arguments.measure:
@@ -117,6 +119,10 @@ def main(arguments: argparse.Namespace) -> int:
     else:
         _print(scenes, found)
     return 0
+
+
+def _is_to_learn_on(name: str) -> bool:
+    return name.startswith(LEARNING_PREFIX)
 
 
 def _groups(name: str, scene: Scenario, arguments: argparse.Namespace) -> list[Group]:
@@ -236,7 +242,11 @@ def _print(
     from hatn_sim.commands.console import make_console
 
     console = make_console()
+    headed = False
     for name, scene in scenes.items():
+        if _is_to_learn_on(name) and not headed:
+            console.print(Text("To learn on", style="bold underline"), end="\n\n")
+            headed = True
         console.print(Text.assemble((scene.name, "bold"), "  ", scene.title))
         console.print(Text(scene.description, style="dim"))
         for table, first, titles in (

@@ -54,6 +54,12 @@ MAX_STEPS: Final = HISTORY_FRAMES - 1
 BAND_M: Final = 0.2
 BAND_MPS2: Final = 2.0
 """A correction is at most BAND_M, and what this acceleration makes of the time ahead."""
+MEMORY: Final = 0.97
+"""What counts of the evidence of a frame ago: about the last three seconds speak."""
+DOUBT_M: Final = 1e-3
+"""Corrections of increments prove nothing before they add up to more than this."""
+CAUTION: Final = 0.2
+"""Corrections that are right by no more than this share are none: it may be chance."""
 MAX_CHANGE_M: Final = 1.0
 """Parameters move no further than what moves a steady vehicle by this."""
 
@@ -75,6 +81,12 @@ class AdaptationSettings:
     process_share: float = 0.0  # the variance that parameters gain in a step, over the first one
     rate: float = 0.1  # of `sgd`; 1 would take all of a steady vehicle's error away at once
     fade_s: float = 1.0
+
+
+def default_settings(network: EncoderDecoderNetwork) -> AdaptationSettings:
+    """A decoder that starts from the exact present motion leaves less to be learnt."""
+    start_std_m = 0.05 if network.settings.decoder == "kinematic" else 0.2
+    return AdaptationSettings(start_std_m=start_std_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,11 +135,13 @@ def learn(
     goal_m: Tensor,
     driven_m: Tensor,
     seen: Tensor,
-) -> FilterState:
-    """One step of the filter for the vehicles of [B] that are `seen` [B].
+) -> tuple[FilterState, Tensor]:
+    """One step of the filter for the vehicles of [B] that are `seen` [B], and its evidence [B, 2].
 
     `batch` and `goal_m` [B, G] are what the network read `steps` frames ago, `driven_m`
-    [B, steps, 2] is where the vehicles then went, in their frames of that time.
+    [B, steps, 2] is where the vehicles then went, in their frames of that time. The evidence is of
+    the newest increment, which the parameters have not seen yet: what they changed of its
+    prediction times what the trained ones missed of it, and the square of that change.
     """
     settings, network = adapter.settings, adapter.network
     predicted, jacobian = linearise(
@@ -137,11 +151,22 @@ def learn(
         state.theta,
     )
     innovation = driven_m.flatten(1) - predicted
+    changed = (jacobian @ (state.theta - adapter.prior)[..., None])[..., 0]
+    change, missed = (
+        values.view(-1, settings.steps, 2).diff(
+            dim=1, prepend=values.new_zeros(1, 1, 2).expand(len(values), -1, -1)
+        )[:, -1]
+        for values in (changed, changed + innovation)
+    )
+    evidence = torch.stack(((change * missed).sum(-1), change.square().sum(-1)), -1)
+    evidence = torch.where(torch.isfinite(evidence) & seen[:, None], evidence, 0.0)
     if settings.method == "sgd":
-        return descend(
+        after = descend(
             state, adapter.prior, innovation, jacobian, adapter.rate, adapter.filter, seen
         )
-    return update(state, adapter.prior, innovation, jacobian, adapter.filter, seen)
+    else:
+        after = update(state, adapter.prior, innovation, jacobian, adapter.filter, seen)
+    return after, evidence
 
 
 def faded(adapter: Adapter, correction_m: Tensor) -> Tensor:
@@ -176,10 +201,16 @@ class AdaptationState:
 
     moment: Moment
     filter: FilterState  # [E]
+    evidence: Tensor  # [E, 2] for the adapted parameters, see `learn`; fading sums
     frames: IntArray  # [E] how many of the inputs are the vehicle's, on its present line
     batch: VehicleBatch  # [E, steps, ...]
     goal_m: Tensor  # [E, steps, G]
     pose: FloatArray  # [E, steps, 3] x_m, y_m, yaw_rad
+
+    def trust(self) -> Tensor:
+        """How much of a correction would have been right lately [E]: from 0 to 1."""
+        right, made = self.evidence.unbind(-1)
+        return ((right - CAUTION * made) / (made + DOUBT_M**2)).clamp(0.0, 1.0)
 
 
 def moment_of(road: Road, seen: Perception, vehicle: IntArray, goal_m: Tensor) -> Moment:
@@ -222,6 +253,7 @@ def first(adapter: Adapter, moment: Moment) -> AdaptationState:
     return AdaptationState(
         moment,
         begin(adapter.prior, count, adapter.filter),
+        torch.zeros(count, 2),
         moment.whole.astype(np.int64),
         VehicleBatch(*(_repeat(tensor, steps) for tensor in _tensors(moment.batch))),
         _repeat(moment.goal_m, steps),
@@ -259,9 +291,12 @@ def follow(
     )
     goal_m = torch.cat((state.goal_m[torch.from_numpy(source)], moment.goal_m[:, None]), 1)
     pose = np.concatenate((state.pose[source], _pose(moment)[:, None]), axis=1)
+    evidence = torch.where(
+        torch.from_numpy(kept)[:, None], MEMORY * state.evidence[torch.from_numpy(source)], 0.0
+    )
     if taught.any():
         driven_m = to_vehicle_frame(pose[:, 1:, :2], pose[:, 0, :2], pose[:, 0, 2])
-        believed = learn(
+        believed, found = learn(
             adapter,
             believed,
             VehicleBatch(*(tensor[:, 0] for tensor in _tensors(batch))),
@@ -269,9 +304,11 @@ def follow(
             torch.from_numpy(driven_m.astype(np.float32)),
             torch.from_numpy(taught),
         )
+        evidence = evidence + found
     return AdaptationState(
         moment,
         believed,
+        evidence,
         np.minimum(frames + 1, adapter.settings.steps) * moment.whole,
         VehicleBatch(*(tensor[:, 1:] for tensor in _tensors(batch))),
         goal_m[:, 1:],
@@ -293,7 +330,8 @@ def correction_m(adapter: Adapter, state: AdaptationState) -> tuple[IntArray, Fl
     theta = torch.cat((state.filter.theta[row], adapter.prior.expand(len(row), -1)))
     with torch.inference_mode():
         adapted, trained = adapter.decode(theta, batch, goal_m).chunk(2)
-        return row.numpy(), faded(adapter, adapted - trained).double().numpy()
+        moved_m = state.trust()[row, None, None] * (adapted - trained)
+        return row.numpy(), faded(adapter, moved_m).double().numpy()
 
 
 def _tensors(batch: VehicleBatch) -> tuple[Tensor, Tensor, Tensor]:

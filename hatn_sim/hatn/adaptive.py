@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from hatn_sim.hatn.adaptation_memory import (
     AdaptationState,
     adapter_of,
     correction_m,
+    default_settings,
     first,
     follow,
     moment_of,
@@ -23,8 +23,6 @@ from hatn_sim.hatn.predictor import Hatn, told_goal_m
 from hatn_sim.hatn.sgn import Intention
 from hatn_sim.perception import PerceptionState
 from hatn_sim.road import Road
-
-DEFAULT: Final = AdaptationSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +40,20 @@ class AdaptiveHatn:
 
     Goals are predicted at every frame, since the past is predicted again for the goal of then; a
     prediction that is asked for shares them. Vehicles of `unadapted` are predicted as `hatn` does.
+    Without `settings`, those that suit the network.
     """
 
     def __init__(
         self,
         hatn: Hatn,
-        settings: AdaptationSettings = DEFAULT,
+        settings: AdaptationSettings | None = None,
         unadapted: frozenset[str] = frozenset(),
     ) -> None:
         self.name = hatn.name
         self._hatn = hatn
-        self._adapter = adapter_of(hatn.weights.edn, settings, as_program=True)
+        self._adapter = adapter_of(
+            hatn.weights.edn, settings or default_settings(hatn.weights.edn), as_program=True
+        )
         self._unadapted = unadapted
 
     def init(self, road: Road) -> AdaptiveState:

@@ -53,11 +53,11 @@ QUEUED = CONTEXT.index("front is a vehicle of the focus group")
 QUEUED_PENALTY = 6.0
 """Who queues behind another is not first; finite, since lines and leaders may be wrong."""
 RACE_PER_S = 1.0
-RACE_PER_GATE = 1.0
+RACE_PER_GATE = 0.5
 """A prior that holds on any road: each second of earliest arrival costs this much utility, and so
-does a stop line, give-way line or closed signal that is still to be passed. It is
-added when predicting only. In training it would be unlearned: who is far from one scene's focus is
-also told by how that scene looks, and on another scene only the time is left."""
+does a stop line, give-way line or closed signal that is still to be passed. It is added when
+predicting only. In training it would be unlearned: who is far from one scene's focus is also told
+by how that scene looks, and on another scene only the time is left."""
 GOAL_SCALE_M = 10.0
 CROSSING_SCALE_S = 3.0
 MIN_GOAL_STD_M = 0.1

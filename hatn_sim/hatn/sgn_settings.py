@@ -80,11 +80,11 @@ def paper_sgn() -> SgnSettings:
 def best_sgn() -> SgnSettings:
     """The network that predicts best, in places it was not trained on above all."""
     return SgnSettings(
+        history_stride=3,
         goal_base="anchors",
         goal_knows_slots=True,
         profile=True,
         slot_modes=True,
-        goal_by_slots=True,
     )
 
 

@@ -72,6 +72,7 @@ def features() -> dict[str, Any]:
         "goal_scale_m": [sgn_module.GOAL_SCALE_M, edn_module.GOAL_SCALE_M],
         "queued_penalty": sgn_module.QUEUED_PENALTY,
         "race_per_s": sgn_module.RACE_PER_S,
+        "race_per_gate": sgn_module.RACE_PER_GATE,
         "plain_scales": [
             edn_plain.ALIGNED_SCALE_M,
             edn_plain.MAP_SCALE_M,

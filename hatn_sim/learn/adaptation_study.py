@@ -199,12 +199,13 @@ def errors_m(adapter: Adapter, watched: Watched) -> tuple[FloatArray, FloatArray
         vehicle = watched.vehicle[k][rows]
         ahead = watched.xy_m[vehicle, k + 1 : k + 1 + HORIZON_FRAMES]
         batch = rows_of(moment.batch, rows)
-        now.append(_errors(adapter, theta, batch, moment.goal_m[rows], pose, ahead))
+        trust = state.trust()[torch.from_numpy(rows)]
+        now.append(_errors(adapter, theta, trust, batch, moment.goal_m[rows], pose, ahead))
         was = rows_before(before.moment.ids, moment.ids)[rows]
         oldest = _oldest(before, was)
         start = k - steps + 1
         driven = watched.xy_m[vehicle, start : start + HORIZON_FRAMES]
-        past.append(_errors(adapter, theta, *oldest, before.pose[was, 0], driven))
+        past.append(_errors(adapter, theta, trust, *oldest, before.pose[was, 0], driven))
     return np.concatenate(past), np.concatenate(now)
 
 
@@ -219,6 +220,7 @@ def _oldest(state: AdaptationState, rows: IntArray) -> tuple[VehicleBatch, Tenso
 def _errors(
     adapter: Adapter,
     theta: Tensor,
+    trust: Tensor,
     batch: VehicleBatch,
     goal_m: Tensor,
     pose: FloatArray,
@@ -230,7 +232,7 @@ def _errors(
             adapter.decode(own, batch, goal_m)
             for own in (adapter.prior.expand(len(theta), -1), theta)
         )
-        adapted = trained + faded(adapter, adapted - trained)
+        adapted = trained + faded(adapter, trust[:, None, None] * (adapted - trained))
     truth = to_vehicle_frame(driven_m, pose[:, :2], pose[:, 2])
     said = torch.stack((trained, adapted), 1).double().numpy()
     distance: FloatArray = np.linalg.norm(said - truth[:, None], axis=-1)

@@ -32,13 +32,6 @@ LIMIT_RANGE: Final = (0.8, 2.0)
 SHARE: Final = 0.5
 """Of the samples are changed, by scale and by limit each."""
 
-POSITION_STD_M: Final = 0.3
-SPEED_STD_MPS: Final = 0.1
-ANGLE_STD_RAD: Final = 0.03
-LATERAL_STD_M: Final = 0.5
-ACCELERATION_STD_MPS2: Final = 0.3
-"""Of what people do and cameras see, beside what a simulator does."""
-
 _POINTS: Final = len(AHEAD_AT_M)
 _LENGTHS: Final = (0, 3, 6)  # of x: d_f, d_r, l
 _SPEEDS: Final = (1, 4)  # of x: v_f, v_r
@@ -68,7 +61,6 @@ _HISTORY_SIDES: Final = tuple(
     if name.startswith(("d_m", "speed_mps across", "phi", "y_m", "yaw"))
 )
 _LATERAL: Final = _entry("lateral_m")
-_ACCELERATION: Final = _entry("acceleration")
 _CURVATURE: Final = slice(_POINTS, 2 * _POINTS)
 
 
@@ -131,19 +123,6 @@ def mirror_graphs(batch: GraphBatch, mirrored: Tensor) -> GraphBatch:
     x[..., _ANGLES] = x[..., _ANGLES] * sign[:, None, None, None]
     context[..., _CURVATURE] = context[..., _CURVATURE] * sign[:, None, None]
     context[..., _LATERAL] = context[..., _LATERAL] * sign[:, None]
-    return replace(batch, x=x, context=context)
-
-
-def disturb_graphs(batch: GraphBatch) -> GraphBatch:
-    """The same traffic as a worse observer sees it, or less perfect drivers drive it."""
-    x, context = batch.x.clone(), batch.context.clone()
-    egos, nodes, frames, _ = x.shape
-    x[..., _LENGTHS[:2]] += POSITION_STD_M * torch.randn(egos, nodes, 1, 2)
-    x[..., _LENGTHS[2]] = x[..., _LENGTHS[1]] - x[..., _LENGTHS[0]]
-    x[..., _SPEEDS] += SPEED_STD_MPS * torch.randn(egos, nodes, frames, 2)
-    x[..., _ANGLES] += ANGLE_STD_RAD * torch.randn(egos, nodes, frames, 2)
-    context[..., _LATERAL] += LATERAL_STD_M * torch.randn(egos, nodes)
-    context[..., _ACCELERATION] += ACCELERATION_STD_MPS2 * torch.randn(egos, nodes)
     return replace(batch, x=x, context=context)
 
 

@@ -18,7 +18,7 @@ from torch import Tensor
 from hatn_sim.hatn.sgn import Intention, SemanticGraphNetwork
 from hatn_sim.hatn.slots import tempered
 from hatn_sim.labels import MOVING_M
-from hatn_sim.learn.batches import batches, graph_batch
+from hatn_sim.learn.batches import batches, device_of, graph_batch, on
 from hatn_sim.learn.dataset import Samples
 
 RANGE: Final = (0.2, 5.0)
@@ -34,16 +34,17 @@ def calibrate(model: SemanticGraphNetwork, samples: Samples) -> None:
     logits, slots, goals, mixtures = [], [], [], []
     model.eval()
     for rows in batches(len(samples)):
-        batch = graph_batch(samples, rows)
+        batch = on(device_of(model), graph_batch(samples, rows))
         with torch.no_grad():
             found: Intention = model(batch)
-        slot = torch.from_numpy(samples.slot[rows])
+        slot = torch.from_numpy(samples.slot[rows]).to(batch.focus_mask.device)
         several = (slot >= 0) & (batch.focus_mask.sum(-1) > 1)
         logits.append(found.slot_logit[several])
         slots.append(slot[several])
         # Who stands is at 0 m for certain: it says nothing of how wide the others' goals are.
-        goal = torch.from_numpy(samples.goal_m[rows, 0])
-        moves = torch.from_numpy(samples.goal_mask[rows, 0]) & (goal > MOVING_M)
+        goal = torch.from_numpy(samples.goal_m[rows, 0]).to(slot.device)
+        known = torch.from_numpy(samples.goal_mask[rows, 0]).to(slot.device)
+        moves = known & (goal > MOVING_M)
         goals.append(goal[moves])
         mixtures.append(
             torch.stack((found.goal_log_weight, found.goal_mean_m, found.goal_std_m))[:, moves, 0]
@@ -52,7 +53,7 @@ def calibrate(model: SemanticGraphNetwork, samples: Samples) -> None:
     logit, (log_weight, mean, std) = torch.cat(logits), torch.cat(mixtures, 1)
 
     def slot_cost(temperature: float) -> Tensor:
-        log_probability = tempered(logit, torch.tensor(temperature))
+        log_probability = tempered(logit, logit.new_tensor(temperature))
         return -log_probability.gather(1, slot[:, None]).mean()
 
     def goal_cost(temperature: float) -> Tensor:

@@ -14,6 +14,7 @@ from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.learn.dataset import Samples
 
 PROFILE_PER_M: Final = 0.4
+GOAL_PER_M: Final = 0.4
 CROSSING_PER_S: Final = 0.2
 """Weights of the losses beyond the paper's, beside one nat of likelihood."""
 ROBUST_M: Final = 0.3
@@ -90,12 +91,13 @@ def _slot_loss(
 
 
 def _mode_loss(modes: SlotModes, truth: Targets, several: Tensor) -> Tensor:
-    """Of the slots taken: the way there, and when the ego crosses its focus."""
+    """Of the slots taken: how far, on what way, and when the ego crosses its focus."""
     ego = several.nonzero()[:, 0]
-    slot = truth.slot[ego]
+    slot, known = truth.slot[ego], truth.goal_mask[ego, 0]
+    far = (modes.goal_m[ego, slot] - truth.goal_m[ego, 0]).abs()
     travelled = _robust(modes.profile_m[ego, slot] - truth.profile_m[ego, 0], ROBUST_M).mean(-1)
     crossing = _robust(modes.crossing_s[ego, slot] - truth.crossing_s[ego], ROBUST_S)
-    return PROFILE_PER_M * _mean(travelled, truth.goal_mask[ego, 0]) + (
+    return _mean(GOAL_PER_M * far + PROFILE_PER_M * travelled, known) + (
         CROSSING_PER_S * _mean(crossing, truth.crossing_mask[ego])
     )
 
