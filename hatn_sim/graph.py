@@ -57,6 +57,7 @@ CONTEXT: Final = (
     "earliest_s of the rear vehicle at the conflict, up to FAR_S",
     "earliest_s of the ego at the node's conflict, up to FAR_S",
     "front is a vehicle of the focus group",
+    "gate_m of the rear vehicle: stop line, give-way line or closed signal, up to FREE_M",
 )
 """The last axis of `SemanticGraphs.context`: what holds now, beyond the paper's seven features."""
 CONTEXT_SIZE: Final = len(CONTEXT)
@@ -322,6 +323,8 @@ def _context(
     put("earliest_s of the rear vehicle at the conflict, up to FAR_S", rear_s)
     put("earliest_s of the ego at the node's conflict, up to FAR_S", ego_s)
     put("front is a vehicle of the focus group", _queued(rear, front, focus)[e, m])
+    gate = "gate_m of the rear vehicle: stop line, give-way line or closed signal, up to FREE_M"
+    put(gate, np.clip(vehicle.to_gate_m[at], 0.0, FREE_M))
     context = np.zeros((*rear.shape, CONTEXT_SIZE))
     context[e, m] = of_node
     return context

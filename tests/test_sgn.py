@@ -212,7 +212,7 @@ def test_without_time_only_the_present_is_read(form: SgnSettings) -> None:
 
 
 def test_anchors_by_hand() -> None:
-    """10 m/s; the front boundary 10 m and the conflict 45 m ahead; a leader 20 m ahead at 4 m/s."""
+    """10 m/s; front boundary 10 m, gate 12 m, conflict 45 m ahead; a leader 20 m ahead, 4 m/s."""
     now = torch.tensor([35.0, 0.0, 0.0, 45.0, 10.0, 0.0, 10.0])
     assert anchors_of_features_m(now).tolist() == pytest.approx([30.0, 10.0, 30.0 - 5.0])
     context = torch.zeros(CONTEXT_SIZE)
@@ -222,11 +222,12 @@ def test_anchors_by_hand() -> None:
         "distance_m": 20.0,
         "speed_mps of the leader": 4.0,
         "leader there": 1.0,
+        "gate_m": 12.0,
     }.items():
         context[next(k for k, entry in enumerate(CONTEXT) if entry.startswith(name))] = value
-    assert anchors_of_context_m(now, context).tolist() == pytest.approx([25.5, 36.0, 32.0])
+    assert anchors_of_context_m(now, context).tolist() == pytest.approx([25.5, 36.0, 32.0, 12.0])
     context[CONTEXT.index("leader there")] = 0.0
-    assert anchors_of_context_m(now, context).tolist() == pytest.approx([25.5, 36.0, 36.0])
+    assert anchors_of_context_m(now, context).tolist() == pytest.approx([25.5, 36.0, 36.0, 12.0])
 
 
 def test_the_papers_form_reads_the_papers_features_alone() -> None:

@@ -20,8 +20,9 @@ _GAP: Final = CONTEXT.index("distance_m of the rear vehicle to its leader, up to
 _LEADER_MPS: Final = CONTEXT.index("speed_mps of the leader of the rear vehicle")
 _LEADER: Final = CONTEXT.index("leader there")
 _ACCELERATION: Final = CONTEXT.index("acceleration_mps2 of the rear vehicle")
+_GATE: Final = next(index for index, name in enumerate(CONTEXT) if name.startswith("gate_m"))
 ANCHORS_OF_FEATURES: Final = 3
-ANCHORS: Final = ANCHORS_OF_FEATURES + 3
+ANCHORS: Final = ANCHORS_OF_FEATURES + 4
 
 
 def anchors_of_features_m(now: Tensor) -> Tensor:
@@ -36,12 +37,13 @@ def anchors_of_features_m(now: Tensor) -> Tensor:
 
 
 def anchors_of_context_m(now: Tensor, context: Tensor) -> Tensor:
-    """Distances [..., 3] of rear vehicles with features [..., 7] now and `graph.CONTEXT` [..., C].
+    """Distances [..., 4] of rear vehicles with features [..., 7] now and `graph.CONTEXT` [..., C].
 
-    At today's acceleration; with nobody in the way; behind the leader.
+    At today's acceleration; with nobody in the way; behind the leader; braking for the gate.
     """
     free = context[..., _FREE]
     onward = HORIZON_S * now[..., _REAR_MPS] + 0.5 * HORIZON_S**2 * context[..., _ACCELERATION]
     behind = context[..., _GAP] + HORIZON_S * context[..., _LEADER_MPS]
     behind = torch.where(context[..., _LEADER] > 0.5, torch.minimum(behind, free), free)
-    return torch.stack((onward.clamp(min=0.0), free, behind), -1)
+    at_gate = torch.minimum(braking_m(context[..., _GATE], now[..., _REAR_MPS]), free)
+    return torch.stack((onward.clamp(min=0.0), free, behind, at_gate), -1)

@@ -35,7 +35,7 @@ CONTEXT_SCALE = (
     *(1.0,) * 4,
     *(3.0, 2.0, 30.0, 10.0, 1.0),
     *(5.0, 5.0),
-    1.0,
+    *(1.0, 20.0),
 )
 RACE_FEATURES = (
     CONTEXT.index("earliest_s of the rear vehicle at the conflict, up to FAR_S"),

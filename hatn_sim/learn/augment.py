@@ -49,6 +49,7 @@ _GROWING: Final = (
     _entry("acceleration"),
     _entry("distance_m"),
     _entry("speed_mps of the leader"),
+    _entry("gate_m"),
 )
 _HISTORY_LENGTHS: Final = tuple(
     index
