@@ -19,7 +19,7 @@ from typing import Any, Final, Protocol, TypeVar
 import numpy as np
 import torch
 from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import nn
 
 import hatn_sim
@@ -159,9 +159,9 @@ def train_model(job: Job, teller: Teller) -> Mapping[str, Any]:
         "tune_figures": figures,
         "seconds": round(time.monotonic() - started, 1),
     }
-    weights, metadata = network.state_dict(), {CARD: json.dumps(card)}
+    data = save(network.state_dict(), {CARD: json.dumps(card)})
     try:
-        write_whole(path, lambda file: save_file(weights, file, metadata))
+        write_whole(path, lambda file: file.write_bytes(data))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written: {error.strerror}; make room and give the same command "
