@@ -80,7 +80,7 @@ PREDICTED: Final = {
     "risk": None,
     "workers": None,
 }
-TRAINED: Final = {"split": None, "epochs": None, "cache": None, "rows": None}
+TRAINED: Final = {"split": None, "epochs": None, "torch_seed": 0, "cache": None, "rows": None}
 """Options -> what they are when they are not given."""
 USED_BY: Final = {
     **{table: {*TRAINED, "scenes", "seeds", "duration", "workers"} for table in ABLATIONS},
@@ -156,6 +156,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole_number,
         metavar="N",
         help="of each network of an ablation, at most (default: 20)",
+    )
+    parser.add_argument(
+        "--torch-seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of the networks of an ablation: another one tells how much chance is in it",
     )
     parser.add_argument(
         "--cache",
