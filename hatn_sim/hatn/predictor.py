@@ -40,7 +40,7 @@ class Hatn:
         self._drive = frozen_edn(self.weights.edn)
 
     def init(self, road: Road) -> PerceptionState:
-        return begin(road)
+        return begin(road, self.weights.line_choice)
 
     def observe(
         self,
