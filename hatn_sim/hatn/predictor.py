@@ -17,10 +17,12 @@ from hatn_sim.datatypes import (
     SemanticGraphs,
 )
 from hatn_sim.graph import build_graphs
-from hatn_sim.hatn.edn import EncoderDecoderNetwork, frozen
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_program import frozen_edn
 from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
 from hatn_sim.hatn.modes import modes_of
 from hatn_sim.hatn.sgn import GraphBatch, Intention
+from hatn_sim.hatn.sgn_program import frozen_sgn
 from hatn_sim.hatn.weights_io import Weights, load_weights
 from hatn_sim.perception import PerceptionState, begin, perceive
 from hatn_sim.predictors.free_motion import fallback_motion
@@ -34,10 +36,11 @@ class Hatn:
         torch.set_num_threads(1)  # more threads are slower at this size
         self.name = name
         self.weights = load_weights(weights) if isinstance(weights, Path) else weights
-        self._drive = frozen(self.weights.edn)
+        self._relate = frozen_sgn(self.weights.sgn)
+        self._drive = frozen_edn(self.weights.edn)
 
     def init(self, road: Road) -> PerceptionState:
-        return begin(road)
+        return begin(road, self.weights.line_choice)
 
     def observe(
         self,
@@ -96,8 +99,7 @@ class Hatn:
     @torch.inference_mode()
     def intend(self, graphs: SemanticGraphs) -> Intention:
         """What the SGN says of all graphs; there must be one."""
-        intention: Intention = self.weights.sgn(graph_batch(graphs))
-        return intention
+        return self._relate(graph_batch(graphs))
 
     @torch.inference_mode()
     def drive(
