@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import combinations, pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from hatn_sim.cli import main
+from hatn_sim.commands.run_header import trained_on
 from hatn_sim.datatypes import (
     DT_S,
     HORIZON_FRAMES,
@@ -186,6 +188,18 @@ def test_a_change_of_plan_is_found_where_the_networks_did_not_learn(
     # Of equally telling ones the first is taken.
     found = find_cases([learnt, other, crossings], ("transfer", "interaction"))
     assert found["transfer"].run is other and found["interaction"].run is learnt
+
+
+def test_a_run_says_what_its_weights_learnt_from() -> None:
+    part = {"risk": None, "seeds": [1]}
+    split = {
+        "train": [{"scene": "roundabout8", **part}, {"site": "harbour", "runs": ["a"]}],
+        "tune": [{"scene": "roundabout8", **part}],
+        "test": [{"scene": "tjunction", **part}],
+    }
+    learnt = SimpleNamespace(weights=SimpleNamespace(card={"split": split}))
+    assert trained_on(learnt) == ["harbour", "roundabout8"]  # type: ignore[arg-type]
+    assert trained_on(SimpleNamespace()) == []  # type: ignore[arg-type]
 
 
 # -- what is said ---------------------------------------------------------------------------------

@@ -44,12 +44,12 @@ def make_header(
         },
         "versions": installed(),
         "weights_sha256": {name: value for name, value in hashes.items() if value is not None},
-        "trained_on": _trained_on(predictors[0]),
+        "trained_on": trained_on(predictors[0]),
         "command": _command(arguments, scenario),
     }
 
 
-def _trained_on(predictor: Predictor) -> list[str]:
+def trained_on(predictor: Predictor) -> list[str]:
     """Scenes and sites that the card of its weights names; none where there is no card."""
     card = getattr(getattr(predictor, "weights", None), "card", {})
     split = card.get("split", {})
