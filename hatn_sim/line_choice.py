@@ -6,6 +6,7 @@ by a softmax, so that it learns from choices anywhere and is used anywhere. NumP
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -41,6 +42,14 @@ class LineChoice:
         units /= 1.0 + np.abs(units)
         score: FloatArray = features @ self.linear + units @ self.out
         return score
+
+    @property
+    def sha256(self) -> str:
+        """The same for the same weights."""
+        arrays = self.to_arrays()
+        return hashlib.sha256(
+            b"".join(arrays[name].tobytes() for name in sorted(arrays))
+        ).hexdigest()
 
     def to_arrays(self) -> dict[str, FloatArray]:
         """The weights by name, for `from_arrays`."""

@@ -19,8 +19,8 @@ from hatn_sim.hatn.edn import (
     Signal,
     VehicleBatch,
     edn_loss,
-    frozen,
 )
+from hatn_sim.hatn.edn_program import frozen_edn
 from hatn_sim.hatn.inputs import LINE_AT_M, to_map_frame, to_vehicle_frame
 from hatn_sim.hatn.kinematics import path_along, positions, present_motion
 from hatn_sim.learn.augment import mirror_vehicles, scale_vehicles
@@ -170,11 +170,11 @@ def test_the_frozen_decoder_is_the_decoder(settings: EdnSettings, vehicles: int)
     batch, goal_m = random_batch(vehicles), goals(settings, vehicles)
     with torch.inference_mode():
         expected = model(batch, goal_m)
-        found = frozen(model)(batch.history, batch.line, batch.at, goal_m)
+        found = frozen_edn(model)(batch.history, batch.line, batch.at, goal_m)
         torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
         weight = model.dense3.weight.expand(vehicles, -1, -1).contiguous()
         bias = model.dense3.bias.expand(vehicles, -1).contiguous()
-        program = frozen(model, own_last_layer=True)
+        program = frozen_edn(model, own_last_layer=True)
         found = program(batch.history, batch.line, batch.at, goal_m, weight, bias)
         torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 

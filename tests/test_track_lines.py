@@ -17,6 +17,7 @@ from hatn_sim.datatypes import ConflictType, FloatArray, Gate, Kind, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.geometry import arc_length_m, resample, tangent_rad
 from hatn_sim.log import read_run
+from hatn_sim.recordings.each import each_recording
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
 from hatn_sim.recordings.track_lines.clusters import mean_paths
 from hatn_sim.recordings.track_lines.lanes import PREFIX, lanes_from_tracks
@@ -26,7 +27,7 @@ from hatn_sim.recordings.track_lines.paths import (
     path_through,
     smoothed,
 )
-from hatn_sim.recordings.track_lines.source import one_by_one, with_track_lines
+from hatn_sim.recordings.track_lines.source import other_recordings, with_track_lines
 from hatn_sim.recordings.track_lines.web import Near, Web
 from hatn_sim.road import Road
 from hatn_sim.traffic import open_traffic
@@ -331,21 +332,24 @@ def test_a_recording_has_no_part_in_its_own_lines(site: Path) -> None:
 
 
 def test_recordings_one_by_one_have_lines_of_the_other_groups(site: Path) -> None:
-    scenes = one_by_one(scene(site), "auto")
-    assert [one.recorded.recordings for one in scenes if one.recorded] == [
-        (f"{k:03d}",) for k in range(7)
-    ]
+    by_name = each_recording(scene(site), "auto")
+    assert list(by_name) == [f"{k:03d}" for k in range(7)]
+    scenes = list(by_name.values())
     for one in scenes:
         assert one.recorded is not None and one.recorded.drawn is not None
         (own,) = one.recorded.recordings
         assert own not in one.recorded.drawn.recordings
+        # Its files alone say what its lines are drawn from.
+        alone = replace(one.recorded, drawn=None)
+        again = with_track_lines(replace(one, recorded=alone), other_recordings(one), "auto")
+        assert hash_of(again) == one.recorded.drawn.sha256
         assert one.recorded.drawn.vehicles == 15 * len(one.recorded.drawn.recordings)
     # 000 and 005, 001 and 006 are of one group each.
     assert hash_of(scenes[0]) == hash_of(scenes[5])
     assert len({hash_of(one) for one in scenes}) == 5
-    assert [one.recorded.drawn for one in one_by_one(scene(site), "lanes") if one.recorded] == (
-        [None] * 7
-    )
+    for name, one in each_recording(scene(site), "lanes").items():
+        assert one.recorded is not None and one.recorded.drawn is None
+        assert [path.name for path in one.recorded.tracks] == [f"vehicle_tracks_{name}.csv"]
 
 
 def test_auto_keeps_the_map_where_too_few_drove_and_says_so(site: Path) -> None:

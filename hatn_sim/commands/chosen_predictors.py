@@ -12,9 +12,13 @@ if TYPE_CHECKING:
 
 
 def load_predictors(
-    names: Sequence[str], weights: Path | None, adapt: str, quiet: bool
+    names: Sequence[str],
+    weights: Path | None,
+    adapt: str,
+    quiet: bool,
+    unadapted: frozenset[str] = frozenset(),
 ) -> list[Predictor]:
-    """All of them, each once.
+    """All of them, each once; see `load_predictor`.
 
     Raises InputError where there is no such predictor, where `weights` or `adapt` are for none of
     them, and where two call themselves the same.
@@ -35,7 +39,7 @@ def load_predictors(
                 "predicting with the weights of the paper's form that ship",
                 file=sys.stderr,
             )
-    predictors = [load_predictor(name, weights, adapt) for name in wanted]
+    predictors = [load_predictor(name, weights, adapt, unadapted) for name in wanted]
     called = [predictor.name for predictor in predictors]
     for name in called:
         if called.count(name) > 1:

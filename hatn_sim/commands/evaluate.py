@@ -1,8 +1,9 @@
 """Predict traffic with several predictors, score them on the same samples, and print one table.
 
 Every seed of a scene, and every recording, is a run of its own; all cores work on them. They are
-logged in OUT/runs and used again by the same command with the same --out. With --table, something
-else is put into a table:
+logged in OUT/runs and used again by the same command with the same --out. The reference lines of a
+recording are drawn from the tracks of other recordings of --tracks, never from its own; where there
+are too few, they are the map's lanes. With --table, something else is put into a table:
 
 `sgn`, `edn`, `intention`, `summary`: the paper's ablations. Every network of the table is trained
 on some 20,000 samples of the first scene and judged on all of them, its numbers beside the paper's;
@@ -32,6 +33,7 @@ from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.options import (
     add_lines,
+    add_lines_from,
     add_networks,
     add_tracks,
     add_traffic,
@@ -79,11 +81,12 @@ PREDICTED: Final = {
     "weights": None,
     "adapt": "none",
     "lines": "inferred",
+    "lines_from": "auto",
     "density": None,
     "risk": None,
     "workers": None,
 }
-TRAINED: Final = {"split": None, "epochs": None, "cache": None, "rows": None}
+TRAINED: Final = {"split": None, "epochs": None, "torch_seed": 0, "cache": None, "rows": None}
 """Options -> what they are when they are not given."""
 USED_BY: Final = {
     **{table: {*TRAINED, "scenes", "seeds", "duration", "workers"} for table in ABLATIONS},
@@ -144,6 +147,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_traffic(parser)
     add_tracks(parser, "as a further scene")
+    add_lines_from(parser, "auto")
     parser.add_argument(
         "--rows",
         type=Path,
@@ -162,6 +166,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole_number,
         metavar="N",
         help="of each network of an ablation, at most (default: 20)",
+    )
+    parser.add_argument(
+        "--torch-seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of the networks of an ablation: another one tells how much chance is in it",
     )
     parser.add_argument(
         "--cache",
@@ -193,9 +204,11 @@ def main(arguments: argparse.Namespace) -> int:
     table: str | None = arguments.table
     _check_used(arguments)
     if arguments.tracks is None:
-        for option, value in (("--map", arguments.map), ("--recordings", arguments.recordings)):
-            if value is not None:
-                raise InputError(f"{option} {value} goes with --tracks; leave it out")
+        for option in ("map", "recordings", "lines_from"):
+            value = getattr(arguments, option)
+            if value != {**TRAFFIC, **PREDICTED}[option]:
+                name = option.replace("_", "-")
+                raise InputError(f"--{name} {value} goes with --tracks; leave it out")
         if table in (None, "density", "lines"):
             arguments.scenes = arguments.scenes or scenes_to_test_on()
     elif table == "lines":

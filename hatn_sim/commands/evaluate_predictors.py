@@ -124,14 +124,14 @@ def _plans(
 def _recordings(
     arguments: argparse.Namespace, scenario: Scenario, source: RecordedSource
 ) -> Mapping[str, Scenario]:
+    """Each with its reference lines, which are drawn here, once for many; scenes keep theirs."""
     from hatn_sim.errors import InputError
-    from hatn_sim.recordings.find import single_recordings
+    from hatn_sim.recordings.each import each_recording
 
     if arguments.lines == "route" and source.map_path is not None:
         raise InputError("--lines route: recorded tracks know no routes; leave it out")
-    return {
-        name: replace(scenario, recorded=one) for name, one in single_recordings(source).items()
-    }
+    is_of_tracks = scenario.config_path == source.tracks[0]
+    return each_recording(scenario, arguments.lines_from if is_of_tracks else "lanes")
 
 
 def _plan(
@@ -192,10 +192,12 @@ def _as_run(
         weights=arguments.weights,
         adapt=arguments.adapt,
         lines=arguments.lines,
+        lines_from="lanes",
         egos=None,
         net=None,
         react_from=None,
         drive=None,
+        lines_from=arguments.lines_from if source is not None and source.drawn else "lanes",
         agent=SIMULATORS_OWN,
     )
 

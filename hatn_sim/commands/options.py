@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
 LINES_FROM: Final = ("lanes", "tracks", "auto")
-ADAPTATIONS: Final = ("none",)
+ADAPTATIONS: Final = ("none", "mekf", "rls", "sgd")
 """What --adapt may be."""
 SIMULATORS_OWN: Final = "sumo_driver"
 """The agent that leaves a vehicle to the simulator's driver."""
@@ -152,7 +152,9 @@ def add_networks(parser: argparse.ArgumentParser) -> None:
         "--adapt",
         choices=ADAPTATIONS,
         default="none",
-        help="how networks learn on from every vehicle while it is seen (default: none)",
+        help="how networks learn on from every vehicle while it is seen: by the paper's modified "
+        "extended Kalman filter, or, to compare, by recursive least squares or gradient descent "
+        "(default: none)",
     )
 
 

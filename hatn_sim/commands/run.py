@@ -126,7 +126,11 @@ def main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out or _free_folder(scenario.name)
     _check_out(out)
     wanted = (arguments.predictor, *arguments.compare)
-    predictors = load_predictors(wanted, arguments.weights, arguments.adapt, arguments.quiet)
+    # Who acts on advice would teach the network what it said (METHOD section 4).
+    advised = frozenset(_driven(arguments)) | frozenset(arguments.egos or ())
+    predictors = load_predictors(
+        wanted, arguments.weights, arguments.adapt, arguments.quiet, advised
+    )
     drivers = _load_drivers(arguments)
     header = make_header(arguments, scenario, predictors)
     where = ""

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
 from hatn_sim.hatn.adaptation import linearise
-from hatn_sim.hatn.edn import EncoderDecoderNetwork, Parameters, VehicleBatch, frozen
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, Parameters, VehicleBatch
+from hatn_sim.hatn.edn_program import frozen_edn
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 
 Layer = Literal[
@@ -73,7 +74,7 @@ def decoder_of(
             return positions_with(network, layer, theta, batch, goal_m, HORIZON_FRAMES)
 
         return decode
-    program = frozen(network, own_last_layer=True)
+    program = frozen_edn(network, own_last_layer=True)
     weight, bias = LAYERS[layer]
 
     def run(theta: Tensor, batch: VehicleBatch, goal_m: Tensor) -> Tensor:

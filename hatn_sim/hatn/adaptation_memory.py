@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 import torch
@@ -50,6 +50,7 @@ from hatn_sim.road import Road
 from hatn_sim.tracks import rows_before
 
 Method = Literal["mekf", "rls", "sgd"]
+METHODS: Final[tuple[Method, ...]] = get_args(Method)
 MAX_STEPS: Final = HISTORY_FRAMES - 1
 BAND_M: Final = 0.2
 BAND_MPS2: Final = 2.0

@@ -50,6 +50,7 @@ class AdaptiveHatn:
         unadapted: frozenset[str] = frozenset(),
     ) -> None:
         self.name = hatn.name
+        self.weights = hatn.weights
         self._hatn = hatn
         self._adapter = adapter_of(
             hatn.weights.edn, settings or default_settings(hatn.weights.edn), as_program=True

@@ -11,17 +11,15 @@ The decoder is written out by hand, so that the parameters of any layer may be e
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import torch
 from torch import Tensor, nn
 
-from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
+from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.hatn import edn_plain
-from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 from hatn_sim.hatn.kinematics import Present, path_along, positions, present_motion
 from hatn_sim.hatn.travel import PROFILE_S
 
@@ -370,62 +368,6 @@ def _by_step(goal_m: Tensor, steps: int) -> Tensor:
 
 def _goal_input_size(settings: EdnSettings) -> int:
     return {"input": 2, "transform": 1}.get(settings.goal, 0) * settings.goal_steps
-
-
-class _Program(nn.Module):
-    """A network as a function of tensors only, to be traced."""
-
-    def __init__(self, network: EncoderDecoderNetwork) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, history: Tensor, line: Tensor, at: Tensor, goal_m: Tensor) -> Tensor:
-        out: Tensor = self.network(VehicleBatch(history, line, at), goal_m)
-        return out
-
-
-class _OwnProgram(_Program):
-    """The same with a last layer for each vehicle."""
-
-    def forward(  # type: ignore[override]
-        self,
-        history: Tensor,
-        line: Tensor,
-        at: Tensor,
-        goal_m: Tensor,
-        weight: Tensor,
-        bias: Tensor,
-    ) -> Tensor:
-        own = {"dense3.weight": weight, "dense3.bias": bias}
-        out: Tensor = self.network(VehicleBatch(history, line, at), goal_m, own=own)
-        return out
-
-
-def frozen(network: EncoderDecoderNetwork, own_last_layer: bool = False) -> Callable[..., Tensor]:
-    """The network for prediction only: the thirty steps as one program, in half the time.
-
-    Takes history, line, at and goal_m, and with `own_last_layer` a weight [B, O, width] and a bias
-    [B, O] for each vehicle; gives what `EncoderDecoderNetwork.forward` does.
-    """
-    settings = network.settings
-    example = (
-        torch.randn(3, HISTORY_FRAMES, len(HISTORY)),
-        torch.randn(3, len(LINE_AT_M), 2).cumsum(1),
-        torch.randn(3, 5),
-        torch.rand(3, settings.goal_steps).cumsum(-1),
-    )
-    program = _Program(network)
-    if own_last_layer:
-        outputs = network.dense3.out_features
-        example += (torch.randn(3, outputs, settings.width), torch.randn(3, outputs))
-        program = _OwnProgram(network)
-    with warnings.catch_warnings(), torch.no_grad():
-        # Deprecated in favour of a compiler that a user's machine may not have.
-        warnings.simplefilter("ignore")
-        traced: Callable[..., Tensor] = torch.jit.freeze(
-            torch.jit.trace(program.eval(), example, check_trace=False)
-        )
-    return traced
 
 
 def edn_loss(predicted: Tensor, future: Tensor, mask: Tensor, weight: Tensor) -> Tensor:

@@ -17,7 +17,8 @@ from hatn_sim.datatypes import (
     SemanticGraphs,
 )
 from hatn_sim.graph import build_graphs
-from hatn_sim.hatn.edn import EncoderDecoderNetwork, frozen
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_program import frozen_edn
 from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
 from hatn_sim.hatn.modes import modes_of
 from hatn_sim.hatn.sgn import GraphBatch, Intention
@@ -36,10 +37,10 @@ class Hatn:
         self.name = name
         self.weights = load_weights(weights) if isinstance(weights, Path) else weights
         self._relate = frozen_sgn(self.weights.sgn)
-        self._drive = frozen(self.weights.edn)
+        self._drive = frozen_edn(self.weights.edn)
 
     def init(self, road: Road) -> PerceptionState:
-        return begin(road)
+        return begin(road, self.weights.line_choice)
 
     def observe(
         self,

@@ -29,6 +29,8 @@ from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
+from hatn_sim.line_choice import LineChoice
+from hatn_sim.line_features import FEATURES
 
 FORMAT: Final = 3
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
@@ -48,6 +50,11 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
 """What each setting that is a number may be, both ends included."""
 AGAIN: Final = "train again with `hatn-sim train`"
 
+OF_LINES: Final = "line_choice."
+"""Begins the names of the tensors of a choice of lines."""
+_CHOICES: Final[dict[str, LineChoice]] = {}
+"""Those that were read, by their hash."""
+
 Settings = TypeVar("Settings", SgnSettings, EdnSettings)
 
 
@@ -59,6 +66,7 @@ class Weights:
     edn: EncoderDecoderNetwork
     card: Mapping[str, Any]
     sha256: str
+    line_choice: LineChoice | None = None  # that they were trained with; None: the one that ships
 
 
 def features() -> dict[str, Any]:
@@ -111,13 +119,21 @@ def card_of(
 
 
 def save_weights(
-    path: Path, sgn: SemanticGraphNetwork, edn: EncoderDecoderNetwork, card: Mapping[str, Any]
+    path: Path,
+    sgn: SemanticGraphNetwork,
+    edn: EncoderDecoderNetwork,
+    card: Mapping[str, Any],
+    line_choice: LineChoice | None = None,
 ) -> None:
     """Write `path` (.safetensors) and its card (.json), each whole or not at all.
 
+    `line_choice`: how lines were chosen for what the networks learnt from, if not as everywhere.
     InputError where the folder cannot be written.
     """
     tensors = {name: value.contiguous() for name, value in _pair(sgn, edn).state_dict().items()}
+    if line_choice is not None:
+        tensors |= choice_tensors(line_choice)
+        card = {**card, "line_features": list(FEATURES)}
     text = json.dumps(card_of(sgn, edn, card), indent=2) + "\n"
     make_folder(path)
     _write(path.with_suffix(".json"), text.encode())
@@ -155,6 +171,7 @@ def load_weights(path: Path) -> Weights:
     try:
         data = path.read_bytes()
         tensors = load(data)
+        of_lines = {name: tensors.pop(name) for name in [*tensors] if name.startswith(OF_LINES)}
         sgn, edn = SemanticGraphNetwork(sgn_settings), EncoderDecoderNetwork(edn_settings)
         _pair(sgn, edn).load_state_dict(tensors)
     except (SafetensorError, RuntimeError, ValueError, TypeError, KeyError, OSError) as error:
@@ -163,8 +180,31 @@ def load_weights(path: Path) -> Weights:
             f"weights {path}: cannot be read as the networks of its card ({reason[:160]}); "
             f"copy the file again or {AGAIN}"
         ) from None
-    _check_finite(path, tensors)
-    return Weights(sgn.eval(), edn.eval(), card, hashlib.sha256(data).hexdigest())
+    _check_finite(path, tensors | of_lines)
+    choice = None
+    if of_lines:
+        if card.get("line_features") != list(FEATURES):
+            raise InputError(
+                f"weights {path}: made for other features of lines than this version has; {AGAIN}"
+            )
+        choice = choice_of(path, of_lines)
+    return Weights(sgn.eval(), edn.eval(), card, hashlib.sha256(data).hexdigest(), choice)
+
+
+def choice_tensors(choice: LineChoice) -> dict[str, Tensor]:
+    """A choice of lines as tensors of a file."""
+    return {OF_LINES + name: torch.from_numpy(one) for name, one in choice.to_arrays().items()}
+
+
+def choice_of(path: Path, tensors: Mapping[str, Tensor]) -> LineChoice:
+    """The choice of lines of `choice_tensors`, read from `path`.
+
+    The same object for the same numbers, so that networks share what is perceived with it. Raises
+    InputError where it is of another version.
+    """
+    arrays = {name.removeprefix(OF_LINES): one.numpy() for name, one in tensors.items()}
+    choice = LineChoice.from_arrays(arrays, f"weights {path}")
+    return _CHOICES.setdefault(choice.sha256, choice)
 
 
 def _read_card(path: Path, card_path: Path) -> dict[str, Any]:

@@ -138,6 +138,7 @@ def key_of(traffic: Traffic) -> str:
         "scenario": _without_folders(asdict(replace(scenario, recorded=None, card={}))),
         "cases": () if recorded is None else own_cases(recorded),
         "lines": None if recorded is None or recorded.drawn is None else recorded.drawn.sha256,
+        "line_choice": None if traffic.choice is None else traffic.choice.sha256,
         "seed": traffic.seed,
         "warm_up_s": traffic.warm_up_s,
         "duration_s": traffic.duration_s,

@@ -37,6 +37,7 @@ from hatn_sim.labels import (
     slot_label,
 )
 from hatn_sim.labels import trajectories_from_rows as _trajectories
+from hatn_sim.line_choice import LineChoice
 from hatn_sim.perception import Perception, begin, perceive
 from hatn_sim.road import Road
 
@@ -119,9 +120,13 @@ def samples_of_run(
     frames: Iterable[Frame],
     use_routes: bool = False,
     history_frames: int = HISTORY_FRAMES,
+    choice: LineChoice | None = None,
 ) -> Samples:
-    """Every vehicle with a line and `history_frames` behind it, at every fifth frame of a run."""
-    state = begin(road)
+    """Every vehicle with a line and `history_frames` behind it, at every fifth frame of a run.
+
+    Lines are chosen by `choice`; None: the one that ships.
+    """
+    state = begin(road, choice)
     moments: list[_Moment] = []
     row_of: dict[str, int] = {}
     seen_rows: list[tuple[IntArray, Scene]] = []

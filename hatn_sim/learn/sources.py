@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from hatn_sim.datatypes import CASE_HISTORY_FRAMES, HISTORY_FRAMES, Frame, Simulator
@@ -20,20 +20,33 @@ from hatn_sim.simulators.recorded import RecordedSimulator
 from hatn_sim.traffic import open_traffic
 
 
-def samples_of(traffic: Traffic, tell: Callable[[int], object] = lambda _: None) -> Samples:
-    """Play a piece of traffic and cut its samples; `tell` is told of every step.
+@contextmanager
+def played(
+    traffic: Traffic, tell: Callable[[int], object] = lambda _: None
+) -> Generator[tuple[Simulator, Iterator[Frame]], None, None]:
+    """The simulator of a piece of traffic, and its frames; `tell` is told of every step.
 
     Raises InputError, SimulatorError.
     """
     with closing(open_traffic(traffic.scenario)) as simulator:
         first = simulator.reset(traffic.seed)
         first = warm_up(simulator, first, round(traffic.warm_up_s / simulator.dt_s))
+        yield simulator, _frames(simulator, first, traffic.duration_s, tell)
+
+
+def samples_of(traffic: Traffic, tell: Callable[[int], object] = lambda _: None) -> Samples:
+    """Play a piece of traffic and cut its samples; `tell` is told of every step.
+
+    Raises InputError, SimulatorError.
+    """
+    with played(traffic, tell) as (simulator, frames):
         recorded = isinstance(simulator, RecordedSimulator)
         has_cases = recorded and simulator.recording.ids_by == "cases"
         return samples_of_run(
             simulator.road,
-            _frames(simulator, first, traffic.duration_s, tell),
+            frames,
             history_frames=CASE_HISTORY_FRAMES if has_cases else HISTORY_FRAMES,
+            choice=traffic.choice,
         )
 
 
@@ -70,10 +83,11 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def _cut(traffic: Traffic, teller: Teller) -> Samples:
-    """`samples_of` in a worker, whose errors are one line that names the traffic."""
+@contextmanager
+def named(traffic: Traffic) -> Generator[None, None, None]:
+    """Whatever goes wrong becomes one line that names the traffic."""
     try:
-        return samples_of(traffic, teller.tell)
+        yield
     except HatnSimError as error:
         raise type(error)(f"{traffic.name}: {error}") from None
     except Stopped:
@@ -84,6 +98,12 @@ def _cut(traffic: Traffic, teller: Teller) -> Samples:
             f"{traffic.name}: failed: {type(error).__name__}: {error} "
             f"({Path(last.filename).name}:{last.lineno})"
         ) from None
+
+
+def _cut(traffic: Traffic, teller: Teller) -> Samples:
+    """`samples_of` in a worker."""
+    with named(traffic):
+        return samples_of(traffic, teller.tell)
 
 
 def _frames(

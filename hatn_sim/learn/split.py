@@ -14,6 +14,7 @@ from typing import Any, Final
 from hatn_sim.config import Scenario, load_scenario, load_tracks, recording_names
 from hatn_sim.errors import InputError
 from hatn_sim.learn.content import content_hash
+from hatn_sim.line_choice import LineChoice
 from hatn_sim.log import read_run
 from hatn_sim.recordings.each import each_recording, own_cases, own_files
 from hatn_sim.resources import find_scenarios
@@ -50,6 +51,7 @@ class Traffic:
     warm_up_s: float
     duration_s: float | None  # None: to the end
     sources: tuple[Source, ...]
+    choice: LineChoice | None = None  # of reference lines; None: the one that ships
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,13 @@ class Split:
         """One of `PARTS` by its name."""
         traffic: tuple[Traffic, ...] = getattr(self, name)
         return traffic
+
+    def with_choice(self, choice: LineChoice) -> Split:
+        """The same traffic, reference lines chosen otherwise."""
+        parts = {
+            name: tuple(replace(one, choice=choice) for one in self.part(name)) for name in PARTS
+        }
+        return Split(**parts)
 
     def card(self) -> dict[str, list[dict[str, Any]]]:
         """What each part is made of, for the card of weights: no paths of anybody's folders."""
@@ -121,14 +130,13 @@ def traffic_of_tracks(
     """
     whole = load_tracks(patterns, map_path, recording_names(recordings))
     found: list[Traffic] = []
-    for scenario in each_recording(whole, lines):
+    for name, scenario in each_recording(whole, lines).items():
         assert scenario.recorded is not None
         files = own_files(scenario.recorded)
         cases = frozenset(own_cases(scenario.recorded))
-        names = ", ".join(path.name.partition(".")[0] for path in files)
         found.append(
             Traffic(
-                name=f"{scenario.name}, {names}",
+                name=f"{scenario.name}, {name}",
                 scenario=scenario,
                 seed=0,
                 warm_up_s=0.0,

@@ -5,35 +5,40 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
 import hatn_sim
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
-from hatn_sim.hatn.weights_io import make_folder, save_weights
+from hatn_sim.hatn.weights_io import choice_of, choice_tensors, make_folder, save_weights
 from hatn_sim.learn import edn_training
 from hatn_sim.learn.cache import SampleCache, key_of, source_version
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.fit import Figures, FitSettings, LossError, Workplace, fit
 from hatn_sim.learn.settings import TrainingSettings
 from hatn_sim.learn.sgn_training import Fit, predicted_profiles, train_sgn
+from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
 from hatn_sim.learn.sources import cores, gather
 from hatn_sim.learn.split import Split
 from hatn_sim.learn.watch import Nobody, Watch
 from hatn_sim.learn.whole_file import write_whole
+from hatn_sim.line_choice import LineChoice
 
 MAX_SEED: Final = 2**64 - 1
 """The largest that torch takes."""
 PLAN_FILE: Final = "plan.json"
+LINES: Final = "line_choice"
+"""In plan and card: of the choice of lines fitted to the sites; None: that which ships."""
+LINES_FILE: Final = "line_choice.safetensors"
 OF_FORM: Final = {"hatn": "", "paper": "-paper"}
 """What the name of a form's weights ends in."""
 
@@ -65,11 +70,13 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
     watch = watch or Nobody()
     place = Workplace(plan.seed, _device(plan), progress_folder(out), watch)
     make_folder(out)
-    going_on = _goes_on(plan, out)
-    learn, tune = collect(plan, watch)
-    if not going_on:
-        _begin(plan, out)
     torch.set_num_threads(1)  # two are slower at this size
+    going_on = _goes_on(plan, out)
+    site = _kept_choice(out) if going_on else fit_to_sites(plan.split, _workers(plan), watch)
+    choice = None if site is None else site.choice
+    learn, tune = collect(plan if choice is None else _choosing(plan, choice), watch)
+    if not going_on:
+        _begin(plan, out, site)
     cards: dict[str, dict[str, Any]] = {}
     for form, settings in plan.forms.items():
         path = weights_path(out, form)
@@ -77,8 +84,9 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
             cards[form] = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
             continue
         name = form if len(plan.forms) > 1 else ""
-        card = _card(plan, form, settings, len(learn), len(tune))
-        cards[form] = _train_form(learn, tune, settings, place, name, path, card)
+        card = _card(plan, form, settings, len(learn), len(tune), site)
+        save = partial(save_weights, path, line_choice=choice)
+        cards[form] = _train_form(learn, tune, settings, place, name, path, card, save)
     shutil.rmtree(progress_folder(out), ignore_errors=True)
     return cards
 
@@ -91,8 +99,9 @@ def _train_form(
     name: str,
     path: Path,
     card: Mapping[str, Any],
+    save: Callable[[SemanticGraphNetwork, EncoderDecoderNetwork, Mapping[str, Any]], None],
 ) -> dict[str, Any]:
-    """Train both networks, write them to `path` with their card, and return this.
+    """Train both networks, `save` them to `path` with their card, and return this.
 
     Where a loss is lost, what was good before is written nevertheless: both networks to `path`, or
     an SGN alone into the folder of progress.
@@ -113,16 +122,15 @@ def _train_form(
             raise
         assert isinstance(lost.model, EncoderDecoderNetwork)
         stopped = {"tune_figures": figures | lost.figures, "stopped": str(lost)}
-        save_weights(path, sgn, lost.model, {**card, **stopped})
+        save(sgn, lost.model, {**card, **stopped})
         raise HatnSimError(f"{lost}, in {path}") from None
     whole = {**card, "tune_figures": figures | more}
-    save_weights(path, sgn, edn, whole)
+    save(sgn, edn, whole)
     return whole
 
 
 def collect(plan: TrainingPlan, watch: Watch) -> tuple[Samples, Samples]:
     """The samples to learn from and to tune on. Raises InputError where they are too few."""
-    workers = plan.workers or cores()
     found: list[Samples] = []
     for part in ("train", "tune"):
         traffic = plan.split.part(part)
@@ -130,7 +138,7 @@ def collect(plan: TrainingPlan, watch: Watch) -> tuple[Samples, Samples]:
         for notice in dict.fromkeys(one.lines_notice for one in recorded if one is not None):
             if notice:
                 watch.say(f"traffic to {part}: {notice}")
-        samples = gather(part, traffic, plan.cache, workers, watch)
+        samples = gather(part, traffic, plan.cache, _workers(plan), watch)
         _check_samples(part, samples, len(traffic))
         found.append(samples)
     return found[0], found[1]
@@ -215,15 +223,34 @@ def _goes_on(plan: TrainingPlan, out: Path) -> bool:
     return False
 
 
-def _begin(plan: TrainingPlan, out: Path) -> None:
+def _begin(plan: TrainingPlan, out: Path, site: SiteChoice | None) -> None:
     path = progress_folder(out) / PLAN_FILE
-    text = json.dumps(described(plan))
+    text = json.dumps({**described(plan), LINES: None if site is None else site.card})
     try:
+        if site is not None:
+            tensors = choice_tensors(site.choice)
+            write_whole(path.with_name(LINES_FILE), lambda file: save_file(tensors, file))
         write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written: {error.strerror}; make room, or choose another --out"
         ) from None
+
+
+def _kept_choice(out: Path) -> SiteChoice | None:
+    """The choice of lines that a training which goes on began with."""
+    folder = progress_folder(out)
+    path = folder / LINES_FILE
+    card = json.loads((folder / PLAN_FILE).read_text(encoding="utf-8")).get(LINES)
+    return None if card is None else SiteChoice(choice_of(path, load_file(path)), card)
+
+
+def _choosing(plan: TrainingPlan, choice: LineChoice) -> TrainingPlan:
+    return replace(plan, split=plan.split.with_choice(choice))
+
+
+def _workers(plan: TrainingPlan) -> int:
+    return plan.workers or cores()
 
 
 def described(plan: TrainingPlan) -> dict[str, Any]:
@@ -264,7 +291,12 @@ def _check_samples(part: str, samples: Samples, pieces: int) -> None:
 
 
 def _card(
-    plan: TrainingPlan, form: str, settings: TrainingSettings, learn: int, tune: int
+    plan: TrainingPlan,
+    form: str,
+    settings: TrainingSettings,
+    learn: int,
+    tune: int,
+    site: SiteChoice | None,
 ) -> dict[str, Any]:
     return {
         "made_by": f"hatn-sim {hatn_sim.__version__}",
@@ -275,4 +307,5 @@ def _card(
         "torch_seed": plan.seed,
         "samples": learn,
         "tune_samples": tune,
+        LINES: None if site is None else dict(site.card),
     }

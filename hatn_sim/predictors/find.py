@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -63,17 +64,20 @@ READS_WEIGHTS: Final = frozenset({"hatn", PAPER})
 NEEDED: Final = ("name", "init", "observe", "predict")
 
 
-def load_predictor(name: str, weights: Path | None = None, adapt: str = "none") -> Predictor:
+def load_predictor(
+    name: str,
+    weights: Path | None = None,
+    adapt: str = "none",
+    unadapted: frozenset[str] = frozenset(),
+) -> Predictor:
     """The predictor of that name, or an instance of `module:Class`.
 
-    Raises InputError where there is none, or where importing or making it fails.
+    Networks learn on from every vehicle as `adapt` says, none or one of `METHODS`, but for those of
+    `unadapted`. Raises InputError where there is no such predictor, or where importing or making
+    it fails.
     """
     if name in READS_WEIGHTS:
-        from hatn_sim.hatn.predictor import Hatn
-
-        if adapt != "none":
-            raise InputError(f"unknown adaptation {adapt!r}; known: none")
-        return Hatn(weights_of(name, weights), name)
+        return _network(name, weights_of(name, weights), adapt, unadapted)
     if name in PREDICTORS:
         return PREDICTORS[name](weights)
     if ":" not in name:
@@ -83,6 +87,21 @@ def load_predictor(name: str, weights: Path | None = None, adapt: str = "none") 
         )
     made: Predictor = make_from_module("predictor", name, NEEDED)
     return made
+
+
+def _network(name: str, weights: Path, adapt: str, unadapted: frozenset[str]) -> Predictor:
+    from hatn_sim.hatn.predictor import Hatn
+
+    hatn = Hatn(weights, name)
+    if adapt == "none":
+        return hatn
+    from hatn_sim.hatn.adaptation_memory import METHODS, default_settings
+    from hatn_sim.hatn.adaptive import AdaptiveHatn
+
+    if adapt not in METHODS:
+        raise InputError(f"unknown adaptation {adapt!r}{nearest(adapt, METHODS)}")
+    settings = replace(default_settings(hatn.weights.edn), method=adapt)
+    return AdaptiveHatn(hatn, settings, unadapted)
 
 
 def weights_of(name: str, weights: Path | None) -> Path:

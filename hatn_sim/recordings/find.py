@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from hatn_sim.config import RecordedSource
 from hatn_sim.datatypes import Recording
 from hatn_sim.errors import InputError
@@ -38,27 +36,3 @@ def open_recording(name: str, source: RecordedSource) -> Recording:
         f"{first}: expected tracks as *.csv (INTERACTION format), as *.xml, *.xml.gz or *.parquet "
         f"(SUMO's FCD output), or the folder of a run, found {what}; give files of one format"
     )
-
-
-def single_recordings(source: RecordedSource) -> dict[str, RecordedSource]:
-    """Every recording of the source by itself, by name; the cases of a file stay together.
-
-    Raises InputError where a recording that is wanted is not there, or a file is at fault.
-    """
-    if not all(path.name.lower().endswith(".csv") for path in source.tracks):
-        return {path.name: replace(source, tracks=(path,)) for path in source.tracks}
-    from hatn_sim.recordings.interaction.files import group_files
-    from hatn_sim.recordings.interaction.table import InteractionTable
-
-    files = group_files(source.tracks, ())
-    if any(InteractionTable(path).has_cases for one in files for path in one.paths):
-        return {source.tracks[0].stem: source}
-    return {
-        one.name: replace(
-            # Pedestrians that nobody named are found again, and said to be.
-            source,
-            tracks=one.paths[:1] if one.found_beside else one.paths,
-            recordings=(),
-        )
-        for one in group_files(source.tracks, source.recordings)
-    }

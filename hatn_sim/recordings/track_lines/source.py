@@ -1,8 +1,6 @@
 """Recorded tracks with reference lines from the tracks of other recordings of the same place.
 
-A recording under test never has a part in its own lines. Where many are looked at one by one, they
-are dealt into groups, and the lines of a group are drawn from the recordings of all others: so
-lines are drawn at most `GROUPS` times.
+A recording under test never has a part in its own lines.
 """
 
 from __future__ import annotations
@@ -29,31 +27,8 @@ from hatn_sim.recordings.track_lines.read import read_tracks
 
 FEWEST_VEHICLES: Final = 40
 """With fewer in the other recordings, `auto` keeps to the lanes of the map."""
-GROUPS: Final = 5
 _Stamp = tuple[Path, int, int]
 """A file as it is now: its path, time and size."""
-
-
-def one_by_one(scenario: Scenario, lines: str = "auto") -> list[Scenario]:
-    """A scene of its own for every recording of a scene of INTERACTION tracks.
-
-    `lines` is "lanes" (of the map), "tracks" (of other recordings), or "auto" as in
-    `with_track_lines`. Other scenes, and tracks with cases, stay one scene.
-
-    Raises InputError as `with_track_lines`.
-    """
-    source = scenario.recorded
-    if source is None or _without_recordings(source):
-        return [with_track_lines(scenario, (), lines)]
-    tested = [one.name for one in group_files(source.tracks, source.recordings)]
-    every = [one.name for one in group_files(source.tracks, ())]
-    groups = [tested[k::GROUPS] for k in range(GROUPS)]
-    scenes: list[Scenario] = []
-    for k, name in enumerate(tested):
-        own = set(groups[k % GROUPS])
-        alone = replace(scenario, recorded=replace(source, recordings=(name,)))
-        scenes.append(with_track_lines(alone, [one for one in every if one not in own], lines))
-    return scenes
 
 
 def other_recordings(scenario: Scenario) -> list[str]:
