@@ -31,7 +31,7 @@ LAST: Final[Layer] = "dense3"
 STEPS: Final = tuple(range(1, MAX_STEPS + 1))
 LAYER_STEPS: Final = (1, 2, 3, 4, 5)
 METHOD_STEPS: Final = 3
-LAYER_FRAMES: Final = 200
+LAYER_FRAMES: Final = 100
 """The sweep over layers is of the first frames of a run only: the large ones take long."""
 
 
