@@ -192,7 +192,6 @@ def _as_run(
         weights=arguments.weights,
         adapt=arguments.adapt,
         lines=arguments.lines,
-        lines_from="lanes",
         egos=None,
         net=None,
         react_from=None,
