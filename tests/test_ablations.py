@@ -287,7 +287,13 @@ def test_a_table_from_end_to_end_is_not_trained_again(
     words += ["--cache", str(cache.folder), "--workers", "1", "--out", "out", "--quiet"]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
-    for part in ("Summary of the ablations", "Baseline", "hatn", "seeds 1, 15 s each", "vehicles"):
+    for part in (
+        "Summary of the ablations",
+        "Baseline",
+        "hatn",
+        "(seeds 1, 15 s each)",
+        "vehicles",
+    ):
         assert part in printed
     out = Path("out")
     assert len(list((out / "models").glob("*.safetensors"))) == 8
@@ -314,6 +320,7 @@ def test_a_table_from_end_to_end_is_not_trained_again(
     ("words", "expected"),
     [
         (["--split", "split.toml", "--seeds", "5"], "--seeds: --split names all traffic"),
+        (["--torch-seed", "-1"], "--torch-seed -1: expected 0 or more"),
         (["--split", "no_test.toml"], "no_test.toml: expected [[test]], what to judge on"),
         (["--seeds", "1"], "seeds 1-4, learnt from and --seeds share seed 1 of intersection5"),
         (["--seeds", "101"], "seed 101, tuned on and --seeds share seed 101 of intersection5"),

@@ -1,8 +1,7 @@
 """`hatn-sim evaluate --table sgn|edn|intention|summary`: the paper's ablations, trained afresh.
 
 Every network of a table is trained on the same samples and judged on the same others; what is
-trained lies in OUT/models and is used again. `--rows FILE`, and `--table adaptation`, print rows
-that were reached before.
+trained lies in OUT/models and is used again. `--rows FILE` prints rows that were reached before.
 """
 
 from __future__ import annotations
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from hatn_sim.learn.split import Split
     from hatn_sim.learn.watch import Watch
 
-ROWS_FILE: Final = "ablations.json"
-"""Beside the weights that ship: what was reached by these."""
 MODELS_FOLDER: Final = "models"
 SCENES: Final = ("intersection5", "roundabout8")
 """What is learnt from, and what is transferred to."""
@@ -65,7 +62,7 @@ CURVES: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 
 def main(arguments: argparse.Namespace) -> int:
     """Train what is missing, judge, print beside the paper's numbers, draw."""
-    if arguments.rows is not None or arguments.table == "adaptation":
+    if arguments.rows is not None:
         return _print_given(arguments)
     from hatn_sim.commands.train_progress import TrainProgress
     from hatn_sim.learn.ablation_scores import judge
@@ -86,9 +83,9 @@ def main(arguments: argparse.Namespace) -> int:
     judged = judge(study, rows, test, CURVES.get(table, {}))
     _draw(out / f"{table}-steps", judged)
     caption = (
-        f"ours: learnt from {len(learn):,} samples of {_traffic(split, 'train')} in at most "
-        f"{study.how.epochs} epochs; tuned on {len(tune):,} of {_traffic(split, 'tune')}; judged "
-        f"on {_traffic(split, 'test')}"
+        f"ours: learnt from {len(learn):,} samples of {_traffic(split, 'train')}, seen at most "
+        f"{study.how.epochs} times each; tuned on {len(tune):,} samples of "
+        f"{_traffic(split, 'tune')}; judged on {_traffic(split, 'test')}"
     )
     return _print(arguments, out, judged.rows, judged.clustered_over, caption)
 
@@ -97,9 +94,8 @@ def _print_given(arguments: argparse.Namespace) -> int:
     """The rows of a file."""
     from hatn_sim.errors import InputError
     from hatn_sim.evaluation.table import read_rows, with_summary
-    from hatn_sim.resources import weights_dir
 
-    path: Path = arguments.rows or weights_dir() / ROWS_FILE
+    path: Path = arguments.rows
     if not path.is_file():
         raise InputError(
             f"{path}: there are no rows of ablations; give those of yours with --rows FILE"
@@ -168,13 +164,19 @@ def _split(arguments: argparse.Namespace) -> Split:
 
 
 def _study(arguments: argparse.Namespace, split: Split, out: Path) -> Study:
+    from hatn_sim.errors import InputError
     from hatn_sim.learn.ablation_training import Study
     from hatn_sim.learn.cache import SampleCache, default_folder
+    from hatn_sim.learn.train import MAX_SEED
 
     folder = default_folder() if arguments.cache is None else Path(arguments.cache)
     if arguments.cache == "none":
         folder = out / "samples"  # the processes that train read them from a file
-    study = Study(split, SampleCache(folder), out / MODELS_FOLDER)
+    if not 0 <= arguments.torch_seed <= MAX_SEED:
+        raise InputError(
+            f"--torch-seed {arguments.torch_seed}: expected 0 or more, and less than 2^64"
+        )
+    study = Study(split, SampleCache(folder), out / MODELS_FOLDER, seed=arguments.torch_seed)
     if arguments.epochs is None:
         return study
     return replace(study, how=replace(study.how, epochs=arguments.epochs))
@@ -241,14 +243,15 @@ def _draw(path: Path, judged: Judged) -> None:
 
 def _traffic(split: Split, part: str) -> str:
     """A part of the split in words."""
-    return "; ".join(_entry(entry) for entry in split.card()[part])
+    return " and ".join(_entry(entry) for entry in split.card()[part])
 
 
 def _entry(entry: Mapping[str, Any]) -> str:
     if "seeds" in entry:
-        return f"{entry['scene']}, seeds {_ranges(entry['seeds'])}, {entry['duration_s']:g} s each"
+        return f"{entry['scene']} (seeds {_ranges(entry['seeds'])}, {entry['duration_s']:g} s each)"
     kind = "runs" if "runs" in entry else "recordings"
-    return f"{len(entry[kind])} {kind} of {entry['site']}"
+    count = len(entry[kind])
+    return f"{entry['site']} ({count} {kind if count > 1 else kind[:-1]})"
 
 
 def _ranges(numbers: Sequence[int]) -> str:
