@@ -12,12 +12,16 @@ from typing import Final, ParamSpec, TypeVar
 import numpy as np
 
 from hatn_sim.config import Scenario
-from hatn_sim.datatypes import Frame
+from hatn_sim.datatypes import Frame, Prediction, SemanticGraphs
 from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
+from hatn_sim.hatn.adaptation_memory import AdaptationState, default_settings
+from hatn_sim.hatn.adaptive import AdaptiveHatn
 from hatn_sim.hatn.predictor import Hatn
+from hatn_sim.hatn.sgn import Intention
 from hatn_sim.log import RunWriter
 from hatn_sim.loop import Adviser, advise, begin, observe
+from hatn_sim.perception import PerceptionState
 from hatn_sim.simulators.sumo import SumoSimulator
 
 P = ParamSpec("P")
@@ -31,11 +35,15 @@ STAGES: Final = {
     "sgn": "SGN",
     "edn": "EDN",
     "predict": "whole predict: graphs, SGN, EDN, to the map",
+    "adaptation_1": "online adaptation, 1 step looked back",
+    "adaptation_3": "online adaptation, 3 steps",
     "assist": "suggestions and alerts",
     "log": "log",
     "tick": "whole tick",
 }
-"""Key -> what is timed. A tick is simulator + perceive + predict + assist + log."""
+"""Key -> what is timed. A tick is simulator + perceive + predict + assist + log.
+Online adaptation is off unless asked for, and would come on top."""
+ADAPTATION_STEPS: Final = (1, 3)
 IN_A_TICK: Final = ("simulator", "perceive", "predict", "assist", "log")
 
 SCALES: Final = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
@@ -154,6 +162,8 @@ def _time_steps(
 ) -> tuple[Stopwatch, float]:
     """Run on, every stage by itself, and the mean number of vehicles in view."""
     watch, road = Stopwatch(), simulator.road
+    adaptives = adaptives_of(predictor)
+    learnt: dict[str, AdaptationState | None] = dict.fromkeys(adaptives)
     adviser = Adviser(predictor)
     state = begin(adviser, road)
     vehicles: list[int] = []
@@ -171,8 +181,37 @@ def _time_steps(
             if len(graphs.ego):
                 intention = watch.time("sgn", predictor.intend, graphs)
                 watch.time("edn", predictor.drive, state.memory, graphs.ego, intention)
+                for stage, adaptive in adaptives.items():
+                    learnt[stage] = watch.time(
+                        stage,
+                        *(adapt, adaptive, learnt[stage], state.memory),
+                        *(graphs, intention, prediction),
+                    )
             state, advice = watch.time("assist", advise, adviser, state, frame.scene, prediction)
             watch.time("log", writer.write, index, frame, {predictor.name: advice})
             watch.taken_ms["tick"].append(sum(watch.taken_ms[stage][-1] for stage in IN_A_TICK))
             vehicles.append(len(frame.scene.ids))
     return watch, float(np.mean(vehicles[UNTIMED_STEPS:]))
+
+
+def adaptives_of(predictor: Hatn) -> dict[str, AdaptiveHatn]:
+    """The predictor with online adaptation, by the stage that times it."""
+    usual = default_settings(predictor.weights.edn)
+    return {
+        f"adaptation_{steps}": AdaptiveHatn(predictor, replace(usual, steps=steps))
+        for steps in ADAPTATION_STEPS
+    }
+
+
+def adapt(
+    adaptive: AdaptiveHatn,
+    learnt: AdaptationState | None,
+    perception: PerceptionState,
+    graphs: SemanticGraphs,
+    intention: Intention,
+    prediction: Prediction,
+) -> AdaptationState:
+    """What adaptation does at a frame beside predicting: learn, and correct the prediction."""
+    after = adaptive.learn(learnt, perception, graphs, intention)
+    adaptive.correct(prediction, graphs, after)
+    return after

@@ -12,12 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.bench import Stopwatch
+from hatn_sim.bench import Stopwatch, adapt, adaptives_of
 from hatn_sim.bench_scaling import UNTIMED_STEPS, WARM_UP_S, copy_lanes, copy_scene
 from hatn_sim.config import Scenario
 from hatn_sim.datatypes import Lane, Scene
 from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
+from hatn_sim.hatn.adaptation_memory import AdaptationState
 from hatn_sim.hatn.predictor import Hatn
 from hatn_sim.perception import begin, perceive
 from hatn_sim.road import Road
@@ -29,6 +30,8 @@ STAGES: Final = {
     "graphs": "semantic graphs",
     "sgn": "SGN",
     "edn": "EDN",
+    "adaptation_1": "adaptation, 1 step",
+    "adaptation_3": "adaptation, 3 steps",
 }
 """Key -> what is timed."""
 
@@ -71,6 +74,8 @@ def _measure(
     watch = Stopwatch()
     road = Road([lane for copy in range(copies) for lane in copy_lanes(lanes, copy)])
     state = begin(road)
+    adaptives = adaptives_of(predictor)
+    learnt: dict[str, AdaptationState | None] = dict.fromkeys(adaptives)
     for index, scene in enumerate(scenes):
         if index == UNTIMED_STEPS:
             watch = Stopwatch()
@@ -80,6 +85,11 @@ def _measure(
         if len(graphs.ego):
             intention = watch.time("sgn", predictor.intend, graphs)
             watch.time("edn", predictor.drive, state, graphs.ego, intention)
+            prediction = predictor.predict_graphs(state, graphs, intention)
+            for stage, adaptive in adaptives.items():
+                learnt[stage] = watch.time(
+                    stage, adapt, adaptive, learnt[stage], state, graphs, intention, prediction
+                )
     return [
         (stage, float(np.median(watch.taken_ms[stage])))
         for stage in STAGES

@@ -32,7 +32,6 @@ from hatn_sim.hatn.adaptation_memory import (
     faded,
     first,
     follow,
-    joined,
     rows_of,
 )
 from hatn_sim.hatn.edn import PAPER, EdnSettings, EncoderDecoderNetwork, VehicleBatch
@@ -248,7 +247,7 @@ def test_a_vehicle_without_evidence_keeps_its_trained_prediction(moments: list[M
     state = follow_all(adapter, moments[:20])
     doubted = replace(state, evidence=state.evidence * torch.tensor([-1.0, 1.0]))
     assert np.abs(correction_m(adapter, state)[1]).max() > 1e-3
-    assert np.abs(correction_m(adapter, doubted)[1]).max() == 0.0
+    assert not len(correction_m(adapter, doubted)[0])
 
 
 def test_the_advised_are_never_adapted(moments: list[Moment]) -> None:
@@ -315,15 +314,6 @@ def test_settings_in_metres_mean_the_same_for_any_layer(layer: Layer) -> None:
         said = positions_with(network, layer, theta, batch, goal_m, 3)
         mean = positions_with(network, layer, adapter.prior[None], steady.batch, steady.goal_m, 3)
     assert float((said - mean).square().mean().sqrt()) == pytest.approx(0.01, rel=0.15)
-
-
-def test_scenes_side_by_side_do_not_meet(moments: list[Moment]) -> None:
-    adapter = adapter_of(network_of(), SETTINGS)
-    left = [only(moment, [0, 1]) for moment in moments]
-    right = [replace(only(moment, [3]), ids=("other",)) for moment in moments]
-    both = follow_all(adapter, [joined(pair) for pair in zip(left, right, strict=True)])
-    apart = follow_all(adapter, left)
-    torch.testing.assert_close(both.filter.theta[:2], apart.filter.theta, rtol=0, atol=1e-5)
 
 
 def test_corrections_count_as_far_as_they_were_right_lately(moments: list[Moment]) -> None:

@@ -2,43 +2,37 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import json
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
 from hatn_sim.cli import main
-from hatn_sim.datatypes import Score
-from hatn_sim.log import read_run
-from hatn_sim.score.prediction import score_runs
+from hatn_sim.predictors.find import PREDICTORS
 
-SEEDS = (601, 602, 603, 604, 605)
-
-
-def scores_of(scene: str, folder: Path) -> dict[tuple[str, str, str], Score]:
-    runs = []
-    for seed in SEEDS:
-        out = folder / f"{scene}-{seed}"
-        words = f"run {scene} --seed {seed} --duration 120 --compare constant_velocity,idm"
-        assert main([*words.split(), "--no-picture", "--quiet", "--json", "--out", str(out)]) == 0
-        runs.append(read_run(out))
-    return {(s.measure, s.predictor, s.subset): s for s in score_runs(runs)}
+RULES = tuple(name for name in PREDICTORS if name != "constant_velocity")
+COMMAND = "evaluate --seeds 601-605 --duration 120 --predictors hatn,{} --quiet --json --scenes {}"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("scene", "share"), [("intersection5", 0.35), ("roundabout8", 0.55)])
-def test_accuracy_on_unseen_seeds(scene: str, share: float, tmp_path: Path) -> None:
-    scores = scores_of(scene, tmp_path)
+@pytest.fixture
+def value(capsys: pytest.CaptureFixture[str]) -> Callable[[str], Callable[..., float]]:
+    """Evaluates a scene; gives its measures."""
 
-    def value(measure: str, predictor: str = "hatn", subset: str = "all") -> float:
-        found = scores[measure, predictor, subset].value
-        assert found is not None
-        return found
+    def of_scene(scene: str) -> Callable[..., float]:
+        words = COMMAND.format(",".join(PREDICTORS), scene).split()
+        assert main(words) == 0
+        scores: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
 
-    for subset in ("all", "moving"):
-        assert value("ade_3s", "hatn", subset) <= share * value(
-            "ade_3s", "constant_velocity", subset
-        )
-        assert value("ade_3s", "hatn", subset) < value("ade_3s", "idm", subset)
-    assert value("ade_0s3") <= value("ade_0s3", "constant_velocity")
-    assert value("slot_accuracy") >= 0.9
-    assert value("slot_macro_f1") >= 0.75
+        def measure(name: str, predictor: str = "hatn", subset: str = "all") -> float:
+            (found,) = (
+                score["value"]
+                for score in scores
+                if (score["measure"], score["predictor"], score["subset"])
+                == (name, predictor, subset)
+            )
+            return float(found)
+
+        return measure
+
+    return of_scene

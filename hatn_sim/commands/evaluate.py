@@ -9,7 +9,8 @@ are too few, they are the map's lanes. With --table, something else is put into 
 on some 20,000 samples of the first scene and judged on all of them, its numbers beside the paper's;
 OUT/models keeps what is trained. `--split` names other traffic, such as recordings.
 
-`adaptation`: the paper's gain by online adaptation, ours beside it.
+`adaptation`: what online adaptation of `hatn-paper` and `hatn` changes, over the steps looked back,
+by layer and by method, beside what the paper says of its figures.
 
 `sota`: the paper's comparison with other methods beside the predictors that there are here.
 
@@ -51,13 +52,15 @@ EXAMPLES = """examples:
   hatn-sim evaluate --tracks 'site/vehicle_tracks_*.csv' --map site.osm --recordings 017-021
   hatn-sim evaluate --table intention --out ablations
   hatn-sim evaluate --table edn --split site.toml --out ablations-of-site
+  hatn-sim evaluate --table adaptation --scenes intersection5,roundabout8 --out adaptation
   hatn-sim evaluate --table density
   hatn-sim evaluate --table density --scenes intersection5,my/town.sumocfg --seeds 1-5 --out town
   hatn-sim evaluate --table density --tracks 'site/vehicle_tracks_*.csv' --map site.osm
 """
 ABLATIONS: Final = ("sgn", "edn", "intention", "summary")
 MODULES: Final = {
-    **dict.fromkeys((*ABLATIONS, "adaptation"), "evaluate_ablations"),
+    **dict.fromkeys(ABLATIONS, "evaluate_ablations"),
+    "adaptation": "evaluate_adaptation",
     "sota": "evaluate_sota",
     "runtime": "evaluate_runtime",
     "density": "evaluate_density",
@@ -87,7 +90,10 @@ TRAINED: Final = {"split": None, "epochs": None, "torch_seed": 0, "cache": None,
 """Options -> what they are when they are not given."""
 USED_BY: Final = {
     **{table: {*TRAINED, "scenes", "seeds", "duration", "workers"} for table in ABLATIONS},
-    "adaptation": {"rows"},
+    "adaptation": {
+        *("scenes", "seeds", "duration", "tracks", "map", "recordings"),
+        *("predictors", "weights", "workers"),
+    },
     "sota": {*TRAFFIC, *PREDICTED},
     "runtime": {"scenes", "seeds", "weights"},
     "density": {*TRAFFIC},

@@ -1,8 +1,7 @@
 """`hatn-sim evaluate --table sgn|edn|intention|summary`: the paper's ablations, trained afresh.
 
 Every network of a table is trained on the same samples and judged on the same others; what is
-trained lies in OUT/models and is used again. `--rows FILE`, and `--table adaptation`, print rows
-that were reached before.
+trained lies in OUT/models and is used again. `--rows FILE` prints rows that were reached before.
 """
 
 from __future__ import annotations
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from hatn_sim.learn.split import Split
     from hatn_sim.learn.watch import Watch
 
-ROWS_FILE: Final = "ablations.json"
-"""Beside the weights that ship: what was reached by these."""
 MODELS_FOLDER: Final = "models"
 SCENES: Final = ("intersection5", "roundabout8")
 """What is learnt from, and what is transferred to."""
@@ -65,7 +62,7 @@ CURVES: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 
 def main(arguments: argparse.Namespace) -> int:
     """Train what is missing, judge, print beside the paper's numbers, draw."""
-    if arguments.rows is not None or arguments.table == "adaptation":
+    if arguments.rows is not None:
         return _print_given(arguments)
     from hatn_sim.commands.train_progress import TrainProgress
     from hatn_sim.learn.ablation_scores import judge
@@ -97,9 +94,8 @@ def _print_given(arguments: argparse.Namespace) -> int:
     """The rows of a file."""
     from hatn_sim.errors import InputError
     from hatn_sim.evaluation.table import read_rows, with_summary
-    from hatn_sim.resources import weights_dir
 
-    path: Path = arguments.rows or weights_dir() / ROWS_FILE
+    path: Path = arguments.rows
     if not path.is_file():
         raise InputError(
             f"{path}: there are no rows of ablations; give those of yours with --rows FILE"

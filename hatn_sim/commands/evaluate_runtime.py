@@ -50,7 +50,10 @@ def main(arguments: argparse.Namespace) -> int:
         print(json.dumps([asdict(row) for row in rows], indent=2))
         return 0
     make_console().print(_table(rows))
-    print("paper: one NVIDIA RTX 2060, for 1 to 100 agents alike; ours: one CPU core, medians")
+    print(
+        "paper: one NVIDIA RTX 2060, for 1 to 100 agents alike, the adaptation for each; "
+        "ours: one CPU core, medians"
+    )
     print(f"numbers in {out / CSV_FILE}")
     return 0
 

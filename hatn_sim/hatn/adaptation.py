@@ -69,7 +69,9 @@ def begin(prior: Tensor, count: int, settings: FilterSettings) -> FilterState:
     """`count` vehicles that nothing is known of yet, with parameters `prior` [P]."""
     size = len(prior)
     variance = torch.full_like(prior, settings.start_variance)
-    covariance = torch.diag(variance) if size <= MAX_JOINT else variance
+    # Drawn back to P_0 whole, P is diagonal for ever.
+    joint = size <= MAX_JOINT and settings.relaxation < 1.0
+    covariance = torch.diag(variance) if joint else variance
     return FilterState(
         prior.repeat(count, 1),
         covariance.repeat(count, *[1] * covariance.dim()),

@@ -84,6 +84,39 @@ def decoder_of(
     return run
 
 
+def linearise_last(
+    network: EncoderDecoderNetwork,
+    theta: Tensor,
+    batch: VehicleBatch,
+    goal_m: Tensor,
+    steps: int,
+) -> tuple[Tensor, Tensor]:
+    """`linearise` of `positions_with` for the last layer, whose structure makes it cheap.
+
+    The layer takes z_k to W z_k + b at step k, so dy/dW is the sum over steps of what a push on
+    this step's output does to y, times z_k: only the pushes are differentiated by.
+    """
+    own = own_parameters(network, "dense3", theta)
+    weight, bias = (own[name] for name in LAYERS["dense3"])
+    read: list[Tensor] = []
+    pushes: list[Tensor] = []
+
+    def last_layer(z: Tensor) -> Tensor:
+        read.append(z.detach())
+        pushes.append(torch.zeros_like(bias, requires_grad=True))
+        return (weight @ z[..., None])[..., 0] + bias + pushes[-1]
+
+    with torch.enable_grad():
+        out = network(batch, goal_m, steps, last_layer=last_layer).flatten(1)
+        each = torch.eye(out.shape[1], dtype=out.dtype)[:, None].expand(-1, *out.shape)
+        pushed = torch.autograd.grad(out, pushes, each, is_grads_batched=True)  # steps of [D, B, O]
+    ones = torch.ones_like(bias[:, :1])
+    inputs = torch.stack([torch.cat((z, ones), 1) for z in read], 1)  # [B, steps, width + 1]
+    by_push = torch.stack(pushed, -1).movedim(0, 1)  # [B, D, O, steps]
+    jacobian = by_push.flatten(1, 2) @ inputs
+    return out.detach(), jacobian.view(*by_push.shape[:2], -1)
+
+
 def sensitivity_m2(network: EncoderDecoderNetwork, layer: Layer, steps: int) -> float:
     """The mean of |dy/dtheta|^2 over the positions y of a vehicle that drives on steadily.
 

@@ -11,7 +11,7 @@ with the time ahead, and is never larger than an unforeseen acceleration could m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
@@ -39,6 +39,7 @@ from hatn_sim.hatn.adaptation import (
 from hatn_sim.hatn.adaptation_layer import (
     Layer,
     decoder_of,
+    linearise_last,
     positions_with,
     prior_of,
     sensitivity_m2,
@@ -78,7 +79,7 @@ class AdaptationSettings:
     start_std_m: float = 0.05  # how far the trained parameters may mispredict a steady vehicle
     measurement_std_m: float = 0.01
     forgetting: float = 0.98
-    relaxation: float = 0.2
+    relaxation: float = 1.0  # as good as less on any traffic tried, and the cheapest
     process_share: float = 0.0  # the variance that parameters gain in a step, over the first one
     rate: float = 0.1  # of `sgd`; 1 would take all of a steady vehicle's error away at once
     fade_s: float = 1.0
@@ -145,12 +146,15 @@ def learn(
     prediction times what the trained ones missed of it, and the square of that change.
     """
     settings, network = adapter.settings, adapter.network
-    predicted, jacobian = linearise(
-        lambda theta: positions_with(
-            network, settings.layer, theta, batch, goal_m, settings.steps
-        ).flatten(1),
-        state.theta,
-    )
+    if settings.layer == "dense3":
+        predicted, jacobian = linearise_last(network, state.theta, batch, goal_m, settings.steps)
+    else:
+        predicted, jacobian = linearise(
+            lambda theta: positions_with(
+                network, settings.layer, theta, batch, goal_m, settings.steps
+            ).flatten(1),
+            state.theta,
+        )
     innovation = driven_m.flatten(1) - predicted
     changed = (jacobian @ (state.theta - adapter.prior)[..., None])[..., 0]
     change, missed = (
@@ -228,21 +232,6 @@ def moment_of(road: Road, seen: Perception, vehicle: IntArray, goal_m: Tensor) -
     )
 
 
-def joined(moments: Sequence[Moment]) -> Moment:
-    """Moments of several scenes as one; ids must differ."""
-    return Moment(
-        ids=tuple(name for moment in moments for name in moment.ids),
-        line=np.concatenate([moment.line for moment in moments]),
-        whole=np.concatenate([moment.whole for moment in moments]),
-        batch=VehicleBatch(
-            *(torch.cat(parts) for parts in zip(*(_tensors(m.batch) for m in moments), strict=True))
-        ),
-        goal_m=torch.cat([moment.goal_m for moment in moments]),
-        xy_m=np.concatenate([moment.xy_m for moment in moments]),
-        yaw_rad=np.concatenate([moment.yaw_rad for moment in moments]),
-    )
-
-
 def rows_of(batch: VehicleBatch, rows: IntArray) -> VehicleBatch:
     """The vehicles `rows` [B'] alone."""
     return VehicleBatch(*(tensor[torch.from_numpy(rows)] for tensor in _tensors(batch)))
@@ -317,21 +306,27 @@ def follow(
     )
 
 
-def correction_m(adapter: Adapter, state: AdaptationState) -> tuple[IntArray, FloatArray]:
+def correction_m(
+    adapter: Adapter, state: AdaptationState, trained_m: FloatArray | None = None
+) -> tuple[IntArray, FloatArray]:
     """How to correct predictions: (rows [A] of adapted vehicles, offsets [A, F, 2] in metres).
 
-    Offsets are in the vehicles' frames of now.
+    Offsets are in the vehicles' frames of now. `trained_m` [E, F, 2] is what the trained network
+    says there, where it has been asked already.
     """
-    changed = (state.filter.theta != adapter.prior).any(dim=1)
+    trust = state.trust()
+    changed = (state.filter.theta != adapter.prior).any(dim=1) & (trust > 0.0)
     row = changed.nonzero()[:, 0]
     if not len(row):
         return row.numpy(), np.zeros((0, HORIZON_FRAMES, 2))
-    batch = rows_of(state.moment.batch, torch.cat((row, row)).numpy())
-    goal_m = state.moment.goal_m[torch.cat((row, row))]
-    theta = torch.cat((state.filter.theta[row], adapter.prior.expand(len(row), -1)))
+    batch, goal_m = rows_of(state.moment.batch, row.numpy()), state.moment.goal_m[row]
     with torch.inference_mode():
-        adapted, trained = adapter.decode(theta, batch, goal_m).chunk(2)
-        moved_m = state.trust()[row, None, None] * (adapted - trained)
+        adapted = adapter.decode(state.filter.theta[row], batch, goal_m)
+        if trained_m is None:
+            trained = adapter.decode(adapter.prior.expand(len(row), -1), batch, goal_m)
+        else:
+            trained = torch.from_numpy(trained_m[row.numpy()]).to(adapted.dtype)
+        moved_m = trust[row, None, None] * (adapted - trained)
         return row.numpy(), faded(adapter, moved_m).double().numpy()
 
 

@@ -18,7 +18,7 @@ from hatn_sim.hatn.adaptation_memory import (
     follow,
     moment_of,
 )
-from hatn_sim.hatn.inputs import to_map_frame
+from hatn_sim.hatn.inputs import to_map_frame, to_vehicle_frame
 from hatn_sim.hatn.predictor import Hatn, told_goal_m
 from hatn_sim.hatn.sgn import Intention
 from hatn_sim.perception import PerceptionState
@@ -72,24 +72,39 @@ class AdaptiveHatn:
         if not len(graphs.ego):
             return AdaptiveState(perception, graphs, None, None)
         intention = self._hatn.intend(graphs)
-        # A copy: what is made for inference alone cannot be differentiated by.
-        goal_m = told_goal_m(self._hatn.weights.edn, intention.profile_m[:, 0]).clone()
-        moment = moment_of(perception.road, perception.seen, graphs.ego, goal_m)
-        before = state.adaptation
-        after = (
-            follow(self._adapter, before, moment, self._unadapted)
-            if before
-            else first(self._adapter, moment)
-        )
+        after = self.learn(state.adaptation, perception, graphs, intention)
         return AdaptiveState(perception, graphs, intention, after)
 
     def predict(self, state: AdaptiveState) -> Prediction:
         prediction = self._hatn.predict_graphs(state.perception, state.graphs, state.intention)
         if state.adaptation is None:
             return prediction
-        row, moved_m = correction_m(self._adapter, state.adaptation)
-        moment = state.adaptation.moment
-        vehicle = state.graphs.ego[row]
+        return self.correct(prediction, state.graphs, state.adaptation)
+
+    def learn(
+        self,
+        before: AdaptationState | None,
+        perception: PerceptionState,
+        graphs: SemanticGraphs,
+        intention: Intention,
+    ) -> AdaptationState:
+        """One frame on, with what was perceived of it and made of that; at least one graph."""
+        # A copy: what is made for inference alone cannot be differentiated by.
+        goal_m = told_goal_m(self._hatn.weights.edn, intention.profile_m[:, 0]).clone()
+        moment = moment_of(perception.road, perception.seen, graphs.ego, goal_m)
+        if before is None:
+            return first(self._adapter, moment)
+        return follow(self._adapter, before, moment, self._unadapted)
+
+    def correct(
+        self, prediction: Prediction, graphs: SemanticGraphs, adaptation: AdaptationState
+    ) -> Prediction:
+        """What the trained network says, corrected by what was learnt until now."""
+        moment = adaptation.moment
+        # Its first mode goes by the goal that the adaptation goes by.
+        trained_m = to_vehicle_frame(prediction.xy_m[graphs.ego, 0], moment.xy_m, moment.yaw_rad)
+        row, moved_m = correction_m(self._adapter, adaptation, trained_m)
+        vehicle = graphs.ego[row]
         xy_m, adapted = prediction.xy_m.copy(), prediction.adapted.copy()
         nowhere = np.zeros((len(row), 2))
         xy_m[vehicle] += to_map_frame(moved_m, nowhere, moment.yaw_rad[row])[:, None]

@@ -11,7 +11,7 @@ The decoder is written out by hand, so that the parameters of any layer may be e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -78,6 +78,8 @@ class VehicleBatch:
 Parameters = Mapping[str, Tensor]
 """Parameters [B, ...] that each vehicle has for itself, by the names of those they replace."""
 SHARED: Final[Parameters] = {}
+LastLayer = Callable[[Tensor], Tensor]
+"""What may stand in for the last layer: [B, width] -> [B, O], asked once for each step in turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,7 @@ class _Memory:
     goal: Tensor  # [B, goal_steps] scaled
     encoded: Tensor | None  # [B, T, width] for attention
     own: Parameters
+    last_layer: LastLayer | None
 
 
 class EncoderDecoderNetwork(nn.Module):
@@ -126,21 +129,29 @@ class EncoderDecoderNetwork(nn.Module):
         goal_m: Tensor,
         steps: int = HORIZON_FRAMES,
         own: Parameters = SHARED,
+        last_layer: LastLayer | None = None,
     ) -> Tensor:
         """Future positions [B, steps, 2] in metres, in the vehicles' frames of now.
 
         `goal_m` [B, goal_steps]: distance travelled in three seconds, or after each half of one.
         """
         if self.settings.decoder == "kinematic":
-            return self._drive(batch, goal_m, steps, own)
-        native = self.native(batch, goal_m, steps, own)
+            return self._drive(batch, goal_m, steps, own, last_layer)
+        native = self.native(batch, goal_m, steps, own, last_layer=last_layer)
         return edn_plain.to_vehicle_frame(self.settings, batch.line, batch.at, native)
 
-    def _drive(self, batch: VehicleBatch, goal_m: Tensor, steps: int, own: Parameters) -> Tensor:
+    def _drive(
+        self,
+        batch: VehicleBatch,
+        goal_m: Tensor,
+        steps: int,
+        own: Parameters,
+        last_layer: LastLayer | None,
+    ) -> Tensor:
         """Accelerations and curvatures, integrated."""
         history = batch.history
         now = present_motion(history)
-        hidden, memory = self._encode(_kinematic_history(history, now), goal_m, own)
+        hidden, memory = self._encode(_kinematic_history(history, now), goal_m, own, last_layer)
         limits = history.new_tensor(START_LIMITS)
         correction = self.start(hidden)
         increment, acceleration, course, curvature = (
@@ -197,6 +208,7 @@ class EncoderDecoderNetwork(nn.Module):
         steps: int = HORIZON_FRAMES,
         own: Parameters = SHARED,
         teacher: Tensor | None = None,
+        last_layer: LastLayer | None = None,
     ) -> Tensor:
         """What the plain decoder says [B, steps, O]: see `edn_plain.targets`.
 
@@ -205,7 +217,7 @@ class EncoderDecoderNetwork(nn.Module):
         settings = self.settings
         said = edn_plain.history_outputs(settings, batch.history, batch.at)
         read = edn_plain.history_inputs(settings, batch.history, batch.at, goal_m)
-        hidden, memory = self._encode(read, goal_m, own)
+        hidden, memory = self._encode(read, goal_m, own, last_layer)
         last = edn_plain.first_input(settings, said)
         position = said[:, -1, :2]
         out = []
@@ -223,12 +235,14 @@ class EncoderDecoderNetwork(nn.Module):
                 last = edn_plain.taught(settings, teacher[:, step], before)
         return torch.stack(out, 1)
 
-    def _encode(self, read: Tensor, goal_m: Tensor, own: Parameters) -> tuple[Tensor, _Memory]:
+    def _encode(
+        self, read: Tensor, goal_m: Tensor, own: Parameters, last_layer: LastLayer | None
+    ) -> tuple[Tensor, _Memory]:
         encoded, hidden = self._encoder(read, own)
         goal = goal_m / GOAL_SCALE_M
         if self.settings.goal == "hidden":
             hidden = hidden + self.embed_goal(goal)
-        return hidden, _Memory(goal, encoded if self.settings.attention else None, own)
+        return hidden, _Memory(goal, encoded if self.settings.attention else None, own, last_layer)
 
     def _encoder(self, read: Tensor, own: Parameters) -> tuple[Tensor, Tensor]:
         """(every hidden state [B, T, width], the last [B, width])."""
@@ -274,7 +288,10 @@ class EncoderDecoderNetwork(nn.Module):
             deep.append(clock)
         out = self.dropout(torch.tanh(self._dense("dense1", torch.cat(deep, -1), own)))
         out = self.dropout(torch.tanh(self._dense("dense2", out, own)))
-        return self._dense("dense3", out, own), hidden
+        emitted = (
+            self._dense("dense3", out, own) if memory.last_layer is None else memory.last_layer(out)
+        )
+        return emitted, hidden
 
     def _attended(self, hidden: Tensor, encoded: Tensor) -> Tensor:
         """Additive attention over the history (Bahdanau et al. 2015)."""

@@ -1,16 +1,13 @@
 """What online adaptation gains and costs: the paper's ADE 1 to 4 over steps, layers and methods.
 
 A scene is watched once: perception, graphs and goals of every frame are kept, and what is swept
-over is computed from them. Runs of several seeds are watched side by side, so that their vehicles
-are filtered in one batch.
+over is computed from them.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from io import StringIO
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -29,7 +26,6 @@ from hatn_sim.hatn.adaptation_memory import (
     faded,
     first,
     follow,
-    joined,
     moment_of,
     rows_of,
 )
@@ -40,6 +36,11 @@ from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.road import Road
 from hatn_sim.tracks import rows_before
 
+MEASURES: Final = ("ade1", "ade2", "ade3", "ade4", "short", "fde")
+"""ADE 1 and 3 are of what is predicted again from `steps` frames ago, over those frames and over
+3 s; ADE 2 and 4 of what is predicted from now, over `steps` frames and over 3 s; `short` is over
+0.3 s from now, `fde` after 3 s."""
+SHORT_FRAMES: Final = 3
 NOBODY: Final[frozenset[str]] = frozenset()
 
 
@@ -52,43 +53,22 @@ class Watched:
     scored: tuple[BoolArray, ...]  # [K] of [E]: long enough on its line, and the future is known
     xy_m: FloatArray  # [V, K, 2] in the map, NaN where the vehicle was not in view
 
+    def until(self, frames: int) -> Watched:
+        """The first frames alone; what came after them is still known as their future."""
+        return replace(
+            self,
+            moments=self.moments[:frames],
+            vehicle=self.vehicle[:frames],
+            scored=self.scored[:frames],
+        )
 
-@dataclass(frozen=True)
-class AdaptationRow:
-    """Mean errors in metres over n predictions, of the trained network and of the adapted one.
 
-    ADE 1 and 3 are of what is predicted again from `steps` frames ago, over those frames and over
-    3 s; ADE 2 and 4 of what is predicted from now, over `steps` frames and over 3 s. `short` is
-    over 0.3 s from now, `fde` after 3 s.
-    """
+@dataclass(frozen=True, eq=False)
+class VehicleErrors:
+    """Errors in metres of the trained network and of the adapted one, summed for each vehicle."""
 
-    scene: str
-    network: str
-    method: str
-    layer: str
-    steps: int
-    n: int
-    trained_ade1_m: float
-    trained_ade2_m: float
-    trained_ade3_m: float
-    trained_ade4_m: float
-    trained_short_m: float
-    trained_fde_m: float
-    adapted_ade1_m: float
-    adapted_ade2_m: float
-    adapted_ade3_m: float
-    adapted_ade4_m: float
-    adapted_short_m: float
-    adapted_fde_m: float
-
-    def error_m(self, measure: str, which: str) -> float:
-        """`measure` ("ade1" ... "ade4", "short", "fde") of "trained" or "adapted"."""
-        value: float = getattr(self, f"{which}_{measure}_m")
-        return value
-
-    def change(self, measure: str) -> float:
-        """By what share adaptation changes `measure`: less than 0 is better."""
-        return self.error_m(measure, "adapted") / self.error_m(measure, "trained") - 1.0
+    sum_m: FloatArray  # [V, 2, len(MEASURES)] trained, adapted
+    n: IntArray  # [V] predictions
 
 
 def watch(hatn: Hatn, road: Road, frames: Iterable[Frame]) -> Watched:
@@ -133,61 +113,29 @@ def _scored(
     return tuple(scored)
 
 
-def side_by_side(runs: Sequence[Watched]) -> Watched:
-    """Runs of as many frames each as if they were one traffic whose parts never meet."""
-    first_row = np.cumsum([0, *(len(run.xy_m) for run in runs)])
-    return Watched(
-        tuple(
-            joined(
-                [
-                    replace(m, ids=tuple(f"{r}:{name}" for name in m.ids))
-                    for r, m in enumerate(moments)
-                ]
-            )
-            for moments in zip(*(run.moments for run in runs), strict=True)
-        ),
-        tuple(
-            np.concatenate([row + start for row, start in zip(rows, first_row[:-1], strict=True)])
-            for rows in zip(*(run.vehicle for run in runs), strict=True)
-        ),
-        tuple(np.concatenate(masks) for masks in zip(*(run.scored for run in runs), strict=True)),
-        np.concatenate([run.xy_m for run in runs]),
-    )
-
-
-def adaptation_row(
-    scene: str,
-    name: str,
-    network: EncoderDecoderNetwork,
-    watched: Watched,
-    settings: AdaptationSettings,
-) -> AdaptationRow:
-    """One figure of a study: a whole scene filtered with `settings`; `name` is the network's."""
-    adapter = adapter_of(network, settings)
-    past, now = errors_m(adapter, watched)
+def vehicle_errors(
+    network: EncoderDecoderNetwork, watched: Watched, settings: AdaptationSettings
+) -> VehicleErrors:
+    """One figure of a study: everything watched is filtered with `settings`."""
+    past, now, vehicle = errors_m(adapter_of(network, settings), watched)
     steps = settings.steps
-    figures: dict[str, float] = {}
-    for column, which in enumerate(("trained", "adapted")):
-        again, ahead = past[:, column], now[:, column]
-        figures |= {
-            f"{which}_ade1_m": float(again[:, :steps].mean()),
-            f"{which}_ade2_m": float(ahead[:, :steps].mean()),
-            f"{which}_ade3_m": float(again.mean()),
-            f"{which}_ade4_m": float(ahead.mean()),
-            f"{which}_short_m": float(ahead[:, :3].mean()),
-            f"{which}_fde_m": float(ahead[:, -1].mean()),
-        }
-    return AdaptationRow(scene, name, settings.method, settings.layer, steps, len(now), **figures)
+    means = (past[..., :steps], now[..., :steps], past, now, now[..., :SHORT_FRAMES], now[..., -1:])
+    each = np.stack([part.mean(axis=-1) for part in means], axis=-1)
+    sums = np.zeros((len(watched.xy_m), *each.shape[1:]))
+    np.add.at(sums, vehicle, each)
+    return VehicleErrors(sums, np.bincount(vehicle, minlength=len(sums)))
 
 
-def errors_m(adapter: Adapter, watched: Watched) -> tuple[FloatArray, FloatArray]:
-    """Displacements [n, 2, F] by step, trained and adapted: from `steps` frames ago, and from now.
+def errors_m(adapter: Adapter, watched: Watched) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Displacements [n, 2, F] by step, trained and adapted: from `steps` frames ago, and from now;
+    and whose they are [n].
 
     Both of the adapted are by the parameters of now, faded as predictions are.
     """
     steps = adapter.settings.steps
     past: list[FloatArray] = [np.zeros((0, 2, HORIZON_FRAMES))]
     now: list[FloatArray] = [np.zeros((0, 2, HORIZON_FRAMES))]
+    whose: list[IntArray] = [np.zeros(0, dtype=np.int64)]
     state = first(adapter, watched.moments[0])
     for k, moment in enumerate(watched.moments[1:], start=1):
         before, state = state, follow(adapter, state, moment, NOBODY)
@@ -206,7 +154,8 @@ def errors_m(adapter: Adapter, watched: Watched) -> tuple[FloatArray, FloatArray
         start = k - steps + 1
         driven = watched.xy_m[vehicle, start : start + HORIZON_FRAMES]
         past.append(_errors(adapter, theta, trust, *oldest, before.pose[was, 0], driven))
-    return np.concatenate(past), np.concatenate(now)
+        whose.append(vehicle)
+    return np.concatenate(past), np.concatenate(now), np.concatenate(whose)
 
 
 def _oldest(state: AdaptationState, rows: IntArray) -> tuple[VehicleBatch, Tensor]:
@@ -237,15 +186,3 @@ def _errors(
     said = torch.stack((trained, adapted), 1).double().numpy()
     distance: FloatArray = np.linalg.norm(said - truth[:, None], axis=-1)
     return distance
-
-
-def as_csv(rows: Sequence[AdaptationRow]) -> str:
-    """The rows as text, one line each below a header, metres to a tenth of a millimetre."""
-    text = StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(AdaptationRow)])
-    writer.writeheader()
-    for row in rows:
-        writer.writerow(
-            {key: f"{v:.4f}" if isinstance(v, float) else v for key, v in asdict(row).items()}
-        )
-    return text.getvalue()
