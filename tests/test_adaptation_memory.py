@@ -15,6 +15,7 @@ from hatn_sim.hatn.adaptation import begin, linearise, update
 from hatn_sim.hatn.adaptation_layer import (
     LAYERS,
     Layer,
+    linearise_last,
     own_parameters,
     positions_with,
     prior_of,
@@ -168,6 +169,36 @@ def test_the_jacobian_of_every_layer_is_that_of_finite_differences(
             slope = (predict(theta + 1e-6 * way) - predict(theta - 1e-6 * way)) / 2e-6
         expected = (jacobian @ way[..., None])[..., 0]
         torch.testing.assert_close(expected, slope, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("settings", [PAPER, EdnSettings(), EdnSettings(decoder="plain")])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_the_last_layers_jacobian_by_pushes_is_the_one_by_parameters(
+    moments: list[Moment], settings: EdnSettings, steps: int
+) -> None:
+    network = network_of(replace(settings, goal_steps=1)).requires_grad_(False)
+    batch, goal_m = moments[5].batch, moments[5].goal_m
+    random = torch.Generator().manual_seed(2)
+    theta = prior_of(network, "dense3").repeat(4, 1)
+    theta = theta + 0.05 * torch.randn(theta.shape, generator=random)
+    slow = linearise(
+        lambda theta: positions_with(network, "dense3", theta, batch, goal_m, steps).flatten(1),
+        theta,
+    )
+    fast = linearise_last(network, theta, batch, goal_m, steps)
+    for ours, theirs in zip(fast, slow, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-6)
+
+
+def test_what_was_said_before_is_not_asked_again(moments: list[Moment]) -> None:
+    adapter = adapter_of(network_of(), SETTINGS)
+    state = follow_all(adapter, moments[:20])
+    with torch.no_grad():
+        trained_m = adapter.network(state.moment.batch, state.moment.goal_m).double().numpy()
+    row, moved_m = correction_m(adapter, state)
+    again, same_m = correction_m(adapter, state, trained_m)
+    assert again.tolist() == row.tolist()
+    np.testing.assert_allclose(same_m, moved_m, atol=1e-4)
 
 
 @pytest.mark.parametrize("steps", [1, 3, 10])

@@ -13,13 +13,8 @@ from hatn_sim.datatypes import Frame
 from hatn_sim.hatn.adaptation_memory import AdaptationSettings
 from hatn_sim.hatn.adaptive import AdaptiveHatn
 from hatn_sim.hatn.predictor import Hatn
-from hatn_sim.learn.adaptation_study import (
-    AdaptationRow,
-    adaptation_row,
-    as_csv,
-    side_by_side,
-    watch,
-)
+from hatn_sim.learn.adaptation_rows import AdaptationRow, pooled, write_csv
+from hatn_sim.learn.adaptation_study import vehicle_errors, watch
 from hatn_sim.loop import check_prediction, warm_up
 from hatn_sim.report.adaptation_figure import draw_layers, draw_steps
 from hatn_sim.resources import weights_dir
@@ -66,7 +61,9 @@ def test_the_study_scores_what_the_predictor_says(
 ) -> None:
     road, frames = traffic
     run = watch(hatn, road, frames)
-    row = adaptation_row("allway", "hatn", hatn.weights.edn, run, SETTINGS)
+    found = vehicle_errors(hatn.weights.edn, run, SETTINGS)
+    n, changes = pooled([found])
+    row = AdaptationRow("allway", "hatn", "mekf", "dense3", 3, n, changes)
     adaptive = AdaptiveHatn(hatn, SETTINGS)
     state = adaptive.init(road)
     at = [dict(zip(frame.scene.ids, frame.scene.xy_m, strict=True)) for frame in frames]
@@ -83,19 +80,16 @@ def test_the_study_scores_what_the_predictor_says(
                 errors.append(np.linalg.norm(said - truth, axis=-1))
     assert row.n == len(errors) > 10
     error = np.stack(errors)
-    assert row.adapted_ade4_m == pytest.approx(error.mean(), rel=1e-3)
-    assert row.adapted_ade2_m == pytest.approx(error[:, :3].mean(), rel=1e-2)
-    assert row.adapted_fde_m == pytest.approx(error[:, -1].mean(), rel=1e-3)
-
-    twice = adaptation_row("allway", "hatn", hatn.weights.edn, side_by_side([run, run]), SETTINGS)
-    assert twice.n == 2 * row.n
-    assert twice.adapted_ade1_m == pytest.approx(row.adapted_ade1_m, rel=1e-2)
-    assert twice.trained_ade3_m == pytest.approx(row.trained_ade3_m, rel=1e-4)
+    assert row.error_m("ade4", "adapted") == pytest.approx(error.mean(), rel=1e-3)
+    assert row.error_m("ade2", "adapted") == pytest.approx(error[:, :3].mean(), rel=1e-2)
+    assert row.error_m("fde", "adapted") == pytest.approx(error[:, -1].mean(), rel=1e-3)
 
     rows: list[AdaptationRow] = [row, replace(row, steps=5)]
-    table = as_csv(rows).splitlines()
-    assert table[0].startswith("scene,network,method,layer,steps,n,trained_ade1_m")
-    assert table[2].split(",")[:6] == ["allway", "hatn", "mekf", "dense3", "5", str(row.n)]
+    path = tmp_path / "rows.csv"
+    write_csv(path, rows)
+    table = path.read_text().splitlines()
+    assert table[0].startswith("scene,network,method,layer,steps,measure,trained_m")
+    assert table[7].split(",")[:6] == ["allway", "hatn", "mekf", "dense3", "5", "ade1"]
     for draw in (draw_steps, draw_layers):
         path = tmp_path / f"{draw.__name__}.png"
         draw({"a scene": rows}, [path])

@@ -94,14 +94,14 @@ def _jobs(
     arguments: argparse.Namespace, traffic: Mapping[str, Sequence[Traffic]], out: Path
 ) -> list[Job]:
     from hatn_sim.hatn.weights_io import load_weights
-    from hatn_sim.learn.adaptation_trials import Job
+    from hatn_sim.learn.adaptation_trials import TRIALS, Job
     from hatn_sim.predictors.find import weights_of
 
     weights = {name: weights_of(name, arguments.weights) for name in _networks(arguments)}
     for path in weights.values():
         load_weights(path)  # before anything takes long
     return [
-        Job(name, path, one, out / RESULTS_FOLDER)
+        Job(name, path, one, out / RESULTS_FOLDER, TRIALS)
         for name, path in weights.items()
         for runs in traffic.values()
         for one in runs

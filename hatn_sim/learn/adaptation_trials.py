@@ -66,7 +66,7 @@ class Job:
     weights: Path
     traffic: Traffic
     folder: Path
-    trials: tuple[Trial, ...] = TRIALS
+    trials: tuple[Trial, ...]
 
 
 Results = Mapping[Trial, VehicleErrors]

@@ -39,6 +39,8 @@ COLOURS: Final = ("#56b4e9", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#8a8f9
 MARKERS: Final = "osv^DPX"
 PANEL_IN: Final = (2.9, 2.3)
 EDGES_IN: Final = 0.9
+LEAST_WIDTH_IN: Final = 6.5
+"""Of title and legend."""
 
 
 class Row(Protocol):
@@ -78,7 +80,7 @@ def draw_steps(scenes: Mapping[str, Sequence[Row]], paths: Sequence[Path]) -> No
 
 def draw_layers(scenes: Mapping[str, Sequence[Row]], paths: Sequence[Path]) -> None:
     """Change of ADE 2 over the steps, a line for each layer and a panel for each scene."""
-    size = (1.35 * PANEL_IN[0] * len(scenes), EDGES_IN + 1.4 * PANEL_IN[1])
+    size = (max(1.35 * PANEL_IN[0] * len(scenes), LEAST_WIDTH_IN), EDGES_IN + 1.4 * PANEL_IN[1])
     figure = Figure(figsize=size, dpi=160, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(1, len(scenes), squeeze=False, sharey=True)[0]
@@ -96,6 +98,7 @@ def draw_layers(scenes: Mapping[str, Sequence[Row]], paths: Sequence[Path]) -> N
                     label=name,
                 )
         axes.axhline(0.0, color=SOFT_INK, lw=0.8)
+        axes.set_xticks(sorted({result.steps for result in results}))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         axes.set_title(scene, loc="left", fontsize=9.5, color=INK)
         axes.set_xlabel("steps looked back (0.1 s)", color=INK, fontsize=9)

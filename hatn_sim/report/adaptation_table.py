@@ -22,6 +22,7 @@ MEASURES: Final = {
     "ade3": "ADE 3, m",
     "ade4": "ADE 4, m",
 }
+SMALL_M: Final = 0.1
 NOTE: Final = (
     "tau: steps of 0.1 s looked back. ADE 1, ADE 3: predicted again from then, over tau steps and "
     "over 3 s; ADE 2, ADE 4: predicted from now, over tau steps and over 3 s. Trained -> adapted, "
@@ -106,7 +107,9 @@ def _by_steps(rows: Sequence[Row]) -> Table:
 def _cell(change: Change | None) -> str:
     if change is None:
         return NONE
-    text = f"{change.trained_m:.3f} -> {change.adapted_m:.3f}\n{_percent(change.share)}"
+    decimals = 4 if change.trained_m < SMALL_M else 3
+    both = " -> ".join(f"{m:.{decimals}f}" for m in (change.trained_m, change.adapted_m))
+    text = f"{both}\n{_percent(change.share)}"
     if change.low is None or change.high is None:
         return text
     return rf"{text} \[{_percent(change.low)} {_percent(change.high)}]"

@@ -18,7 +18,7 @@ from hatn_sim.report.case_cast import Part
 from hatn_sim.report.case_map import PALE_EDGE, WHITE, shade
 from hatn_sim.report.moment import Moment, Slot
 
-NODE_IN: Final = 0.14
+NODE_IN: Final = 0.13
 SMALL_IN: Final = 0.045
 """Radii of nodes to choose from, and of those of other conflicts."""
 EDGE: Final = "#b9bdc1"
