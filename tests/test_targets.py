@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -36,3 +37,37 @@ def value(capsys: pytest.CaptureFixture[str]) -> Callable[[str], Callable[..., f
         return measure
 
     return of_scene
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scene", "of_constant_velocity", "of_best_rule"),
+    [
+        ("intersection5", 0.25, 0.5),
+        ("intersection4_allway", 0.4, 0.6),
+        ("tjunction", 0.4, 0.65),
+        ("roundabout8", 0.4, 0.65),
+        ("roundabout4_two_lane", 0.4, 0.75),
+    ],
+)
+def test_accuracy_on_unseen_seeds(
+    scene: str,
+    of_constant_velocity: float,
+    of_best_rule: float,
+    value: Callable[[str], Callable[..., float]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    measure = value(scene)
+    for subset in ("all", "moving"):
+        error = measure("ade_3s", "hatn", subset)
+        best = min(measure("ade_3s", rule, subset) for rule in RULES)
+        assert error <= of_constant_velocity * measure("ade_3s", "constant_velocity", subset)
+        assert error <= of_best_rule * best
+        assert measure("ade_0s3", "hatn", subset) < min(
+            measure("ade_0s3", rule, subset) for rule in RULES
+        )
+    assert measure("slot_accuracy") >= 0.905
+    assert measure("slot_macro_f1") >= 0.8
+    assert measure("slot_ece") <= 0.03
