@@ -22,7 +22,8 @@ from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import HISTORY
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import card_of, load_weights, save_weights
-from hatn_sim.resources import weights_dir
+from hatn_sim.learn.split_file import read_split
+from hatn_sim.resources import scenes_to_test_on, weights_dir
 
 
 def test_weights_come_back_bit_for_bit(tmp_path: Path) -> None:
@@ -226,7 +227,13 @@ def test_a_save_that_fails_leaves_what_was_there(
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
-def test_the_weights_that_ship_are_for_this_version() -> None:
-    weights = load_weights(weights_dir() / "hatn.safetensors")
-    assert not set(weights.card["seeds"]) & set(weights.card["tune_seeds"])
+@pytest.mark.parametrize("name", ["hatn", "hatn-paper"])
+def test_the_weights_that_ship_are_for_this_version(name: str) -> None:
+    """Their card names the split that ships beside them, none of it a scene to test on."""
+    weights = load_weights(weights_dir() / f"{name}.safetensors")
     assert weights.card["command"].startswith("hatn-sim train ")
+    split = read_split(weights_dir() / f"{name}.split.toml")
+    assert split.card() == weights.card["split"]
+    scenes = {one["scene"] for part in weights.card["split"].values() for one in part}
+    assert scenes.isdisjoint(set(scenes_to_test_on()) - {"intersection5"})
+    assert (weights_dir() / f"{name}.safetensors").stat().st_size < 2_000_000

@@ -1,12 +1,20 @@
-"""Draw the most telling moment of a run as a picture, and the seconds around it as an animation."""
+"""Draw the most telling moment of a run as a picture, and the seconds around it as an animation.
+
+With --cases, the paper's three case studies are found in one or more runs instead, and each is
+drawn as a figure (PNG and PDF): one interaction, a sequence of interactions, and transfer to a
+scene that the networks were not trained on.
+"""
 
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.options import seconds_or_none
+from hatn_sim.commands.options import names, seconds_or_none
+from hatn_sim.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from hatn_sim.log import Run
@@ -14,31 +22,101 @@ if TYPE_CHECKING:
 EXAMPLES = """examples:
   hatn-sim report runs/intersection5-1
   hatn-sim report runs/intersection5-1 --time 82.3 --ego car7
+  hatn-sim report runs/intersection5-1 runs/roundabout8-1 --cases --out figures
+  hatn-sim report runs/roundabout8-1 --cases sequence,transfer
 """
+ALL: Final = ("all",)
+SUFFIXES: Final = (".png", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hatn-sim report`."""
-    parser.add_argument("run", metavar="RUN", type=Path, help="the folder of a run")
+    parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="the folder of a run")
     parser.add_argument("--time", type=seconds_or_none, metavar="S", help="the moment to draw")
     parser.add_argument("--ego", metavar="ID", help="the vehicle to follow")
     parser.add_argument("--no-animation", action="store_true", help="only the picture")
+    parser.add_argument(
+        "--cases",
+        type=names,
+        nargs="?",
+        const=ALL,
+        metavar="A,B",
+        help="find and draw the paper's case studies in the runs: interaction, sequence, transfer "
+        "(default: all that there are)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="where pictures go (default: the first run's)"
+    )
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Draw and say where."""
     from hatn_sim.log import read_run
 
-    logged = read_run(arguments.run)
-    for path in draw(
-        logged,
-        arguments.run,
-        animate=not arguments.no_animation,
-        time_s=arguments.time,
-        ego_id=arguments.ego,
-    ):
+    _check(arguments)
+    runs = [read_run(path) for path in arguments.runs]
+    out: Path = arguments.out or arguments.runs[0]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be made: {error.strerror}; name another") from None
+    if arguments.cases is not None:
+        paths = draw_cases(runs, out, arguments.cases)
+    else:
+        paths = draw(
+            runs[0],
+            out,
+            animate=not arguments.no_animation,
+            time_s=arguments.time,
+            ego_id=arguments.ego,
+        )
+    for path in paths:
         print(path)
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if arguments.cases is None:
+        if len(arguments.runs) > 1:
+            raise InputError(
+                f"{len(arguments.runs)} runs, but a picture is of one; name one, or add --cases"
+            )
+        return
+    for option in ("time", "ego"):
+        if getattr(arguments, option) is not None:
+            raise InputError(f"--{option}: without effect with --cases, which finds both itself")
+
+
+def draw_cases(runs: Sequence[Run], out: Path, wanted: Sequence[str]) -> list[Path]:
+    """Write `case-NAME.png` and `.pdf` into `out` for the cases wanted.
+
+    InputError where a case named is in none of the runs, or none at all is.
+    """
+    from hatn_sim.report.cases import KINDS, find_cases, missing
+
+    everything = tuple(wanted) == ALL
+    asked = tuple(KINDS) if everything else tuple(wanted)
+    for name in asked:
+        if name not in KINDS:
+            raise InputError(
+                f"--cases: expected some of {', '.join(KINDS)}, found {name!r}"
+                f"{nearest(name, KINDS)}"
+            )
+    found = find_cases(runs, asked)
+    absent = [KINDS[name] for name in asked if name not in found]
+    if absent and not (everything and found):
+        raise missing(runs, absent)
+    if absent:
+        print(f"hatn-sim: {missing(runs, absent)}", file=sys.stderr)
+    from hatn_sim.report.case_figure import draw_case
+
+    written: list[Path] = []
+    for name in asked:
+        if name in found:
+            paths = [out / f"case-{name}{suffix}" for suffix in SUFFIXES]
+            draw_case(found[name], paths)
+            written += paths
+    return written
 
 
 def draw(

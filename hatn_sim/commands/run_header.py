@@ -44,8 +44,17 @@ def make_header(
         },
         "versions": installed(),
         "weights_sha256": {name: value for name, value in hashes.items() if value is not None},
+        "trained_on": trained_on(predictors[0]),
         "command": _command(arguments, scenario),
     }
+
+
+def trained_on(predictor: Predictor) -> list[str]:
+    """Scenes and sites that the card of its weights names; none where there is no card."""
+    card = getattr(getattr(predictor, "weights", None), "card", {})
+    split = card.get("split", {})
+    used = [*split.get("train", []), *split.get("tune", [])]
+    return sorted({str(entry.get("scene") or entry.get("site")) for entry in used})
 
 
 def _recorded_settings(scenario: Scenario) -> dict[str, Any]:

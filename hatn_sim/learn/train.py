@@ -134,10 +134,12 @@ def collect(plan: TrainingPlan, watch: Watch) -> tuple[Samples, Samples]:
     found: list[Samples] = []
     for part in ("train", "tune"):
         traffic = plan.split.part(part)
-        recorded = [one.scenario.recorded for one in traffic]
-        for notice in dict.fromkeys(one.lines_notice for one in recorded if one is not None):
-            if notice:
-                watch.say(f"traffic to {part}: {notice}")
+        recorded = [one for piece in traffic if (one := piece.scenario.recorded) is not None]
+        notices = dict.fromkeys(one.lines_notice for one in recorded if one.lines_notice)
+        if drawn := sum(one.drawn is not None for one in recorded):
+            notices[f"lines of {drawn} recordings drawn from the tracks of others"] = None
+        for notice in notices:
+            watch.say(f"traffic to {part}: {notice}")
         samples = gather(part, traffic, plan.cache, _workers(plan), watch)
         _check_samples(part, samples, len(traffic))
         found.append(samples)

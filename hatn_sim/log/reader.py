@@ -33,7 +33,7 @@ from hatn_sim.log.parts import padded, part_count, read_parts
 
 HEAD = {"predictors": list, "finished": bool, "frames": int}
 """Keys of run.json that are read, and the types of their values."""
-OPTIONAL_HEAD = {"settings": dict, "weights_sha256": dict}
+OPTIONAL_HEAD = {"settings": dict, "weights_sha256": dict, "trained_on": list}
 """The same of keys that a log may lack."""
 
 
@@ -119,6 +119,11 @@ class Run:
     def by_route(self) -> bool:
         """Lines came from the simulator's routes, which no camera can see: an upper bound."""
         return self.header.get("settings", {}).get("lines") == "route"
+
+    @property
+    def trained_on(self) -> tuple[str, ...]:
+        """Scenes that the main predictor learnt from, as far as its weights tell."""
+        return tuple(str(scene) for scene in self.header.get("trained_on", ()))
 
     @property
     def ids_by(self) -> str:

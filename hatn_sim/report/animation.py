@@ -42,7 +42,7 @@ def draw_animation(
     from hatn_sim.report.canvas import FILM, open_sheet
 
     start = max(0, min(frame - frames // 3, run.frame_count - frames))
-    moments = list(read_moments(run, start, frames, ego_id))
+    moments = list(read_moments(run, range(start, start + frames), ego_id))
     with_ego = [moment for moment in moments if ego_id in moment.scene.ids]
     if not with_ego:
         raise InputError(

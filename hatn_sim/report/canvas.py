@@ -37,6 +37,21 @@ OPEN: Final = "#46a758"
 
 SCALE_BAR_M: Final = 5.0
 
+
+@dataclass(frozen=True)
+class RoadColours:
+    """What a road is painted with."""
+
+    kerb: str
+    asphalt: str
+    path: str
+    rail: str
+    paint: str
+
+
+DARK_ROAD: Final = RoadColours(KERB, ASPHALT, PATHWAY, RAIL, PAINT)
+
+
 PROBABILITY: Final = LinearSegmentedColormap.from_list(
     "insertion probability", mpl.colormaps["viridis"](np.linspace(0.08, 1.0, 256))
 )
@@ -115,7 +130,7 @@ def open_sheet(
     )
     shapes = road_shapes(lanes, box)
     sheet = Sheet(figure, page, axes, box, shapes, style, 72.0 * map_width_in / width_m)
-    _draw_road(sheet)
+    draw_road(axes, shapes, sheet.points_per_m, DARK_ROAD)
     _draw_legend(sheet)
     return sheet
 
@@ -142,41 +157,30 @@ def mixed(
     return red, green, blue
 
 
-def _fill(sheet: Sheet, surface: Surface, grow_m: float, colour: str, zorder: float) -> None:
-    sheet.map.contourf(
-        surface.x_m,
-        surface.y_m,
-        surface.outside_m,
-        levels=[-1e6, grow_m],
-        colors=[colour],
-        antialiased=True,
-        zorder=zorder,
-    )
-
-
-def _draw_road(sheet: Sheet) -> None:
-    shapes, axes, scale = sheet.shapes, sheet.map, sheet.points_per_m
+def draw_road(axes: Axes, shapes: RoadShapes, points_per_m: float, colours: RoadColours) -> None:
+    """The road on a map in metres, markings as wide as they are."""
+    scale = points_per_m
     if shapes.path is not None:
-        _fill(sheet, shapes.path, 0.0, PATHWAY, 1)
+        _fill(axes, shapes.path, 0.0, colours.path, 1)
     axes.add_collection(
-        LineCollection(shapes.rails_xy_m, colors=RAIL, linewidths=0.14 * scale, zorder=1.5)
+        LineCollection(shapes.rails_xy_m, colors=colours.rail, linewidths=0.14 * scale, zorder=1.5)
     )
     if shapes.asphalt is not None:
-        _fill(sheet, shapes.asphalt, 0.55, "#dcddd4", 2)
-        _fill(sheet, shapes.asphalt, 0.28, KERB, 2.1)
-        _fill(sheet, shapes.asphalt, 0.0, ASPHALT, 2.2)
+        _fill(axes, shapes.asphalt, 0.55, "#dcddd4", 2)
+        _fill(axes, shapes.asphalt, 0.28, colours.kerb, 2.1)
+        _fill(axes, shapes.asphalt, 0.0, colours.asphalt, 2.2)
         axes.contour(
             shapes.asphalt.x_m,
             shapes.asphalt.y_m,
             shapes.asphalt.outside_m,
             levels=[-1.4 * EDGE_M],
-            colors=[PAINT],
+            colors=[colours.paint],
             linewidths=0.11 * scale,
             linestyles="solid",
             alpha=0.5,
             zorder=3,
         )
-    paint: dict[str, Any] = {"colors": PAINT, "capstyle": "butt"}
+    paint: dict[str, Any] = {"colors": colours.paint, "capstyle": "butt"}
     axes.add_collection(
         LineCollection(shapes.solid_xy_m, linewidths=0.12 * scale, alpha=0.6, zorder=3, **paint)
     )
@@ -192,7 +196,19 @@ def _draw_road(sheet: Sheet) -> None:
         )
     )
     bars = [bar for line in shapes.stop_lines for bar in _bars(line.gate, line.corners_xy_m)]
-    axes.add_collection(PolyCollection(bars, facecolors=PAINT, linewidths=0.0, zorder=3.1))
+    axes.add_collection(PolyCollection(bars, facecolors=colours.paint, linewidths=0.0, zorder=3.1))
+
+
+def _fill(axes: Axes, surface: Surface, grow_m: float, colour: str, zorder: float) -> None:
+    axes.contourf(
+        surface.x_m,
+        surface.y_m,
+        surface.outside_m,
+        levels=[-1e6, grow_m],
+        colors=[colour],
+        antialiased=True,
+        zorder=zorder,
+    )
 
 
 def _bars(gate: Gate, corners_xy_m: FloatArray) -> list[FloatArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Final
@@ -84,26 +84,27 @@ class Moment:
         return {slot.rear_id for slot in self.slots if slot.in_focus} | {self.ego_id}
 
 
-def read_moments(run: Run, first: int, count: int, ego_id: str) -> Iterator[Moment]:
-    """The moments of an ego at `count` frames from `first` on, fewer where the run ends.
+def read_moments(run: Run, frames: Sequence[int], ego_id: str) -> Iterator[Moment]:
+    """The moments of an ego at these frames, which rise; none where the run has ended.
 
     Lines and graphs are worked out again from the logged scenes and lanes; probabilities and
     predictions are the logged ones.
 
     Raises:
-        InputError: no such frame or vehicle, no predictions, or no lanes beside the log.
+        InputError: no such first frame or vehicle, no predictions, or no lanes beside the log.
     """
+    first, stop = frames[0], min(frames[-1] + 1, run.frame_count)
     if not 0 <= first < run.frame_count:
         raise InputError(f"{run.path}: no frame {first}; expected 0 to {run.frame_count - 1}")
     if ego_id not in run.ids:
         raise InputError(f"{run.path}: no vehicle {ego_id!r} in this run; see its tracks for ids")
     table = main_predictions(run)
     state = begin(Road(read_road(run.path / ROAD_FILE)))
-    start, stop = max(first - WARM_UP_FRAMES, 0), min(first + count, run.frame_count)
+    start, wanted = max(first - WARM_UP_FRAMES, 0), set(frames)
     for frame, logged in enumerate(islice(run.frames(), start, stop), start=start):
         scene = logged.scene
         state = perceive(state, scene, logged.truth.routes if run.by_route else None)
-        if frame >= first:
+        if frame in wanted:
             yield Moment(
                 scene=scene,
                 ego_id=ego_id,
@@ -115,7 +116,7 @@ def read_moments(run: Run, first: int, count: int, ego_id: str) -> Iterator[Mome
 
 def moment_at(run: Run, frame: int, ego_id: str) -> Moment:
     """A single moment; raises as `read_moments` does, and where the ego is not in view."""
-    moment = next(read_moments(run, frame, 1, ego_id))
+    moment = next(read_moments(run, [frame], ego_id))
     if ego_id not in moment.scene.ids:
         raise InputError(f"{run.path}: vehicle {ego_id!r} is not in view at frame {frame}")
     return moment

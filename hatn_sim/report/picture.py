@@ -55,7 +55,12 @@ def caption(run: Run, moment: Moment) -> str:
     return "  ·  ".join(words)
 
 
-def camera(moments: Sequence[Moment], aspect: float) -> tuple[FloatArray, float]:
+def camera(
+    moments: Sequence[Moment],
+    aspect: float,
+    widths_m: tuple[float, float] = (NARROW_M, WIDE_M),
+    padding_m: float = PADDING_M,
+) -> tuple[FloatArray, float]:
     """Centre [2] and width in metres of what to show, for a map `aspect` times as wide as high."""
     points: list[FloatArray] = []
     for moment in moments:
@@ -68,11 +73,11 @@ def camera(moments: Sequence[Moment], aspect: float) -> tuple[FloatArray, float]
             slot.conflict_xy_m[None] for slot in moment.slots if slot.conflict_xy_m is not None
         ]
     xy = np.concatenate(points)
-    low, high = xy.min(axis=0) - PADDING_M, xy.max(axis=0) + PADDING_M
+    low, high = xy.min(axis=0) - padding_m, xy.max(axis=0) + padding_m
     span_m = high - low
-    width_m = float(np.clip(max(span_m[0], aspect * span_m[1]), NARROW_M, WIDE_M))
+    width_m = float(np.clip(max(span_m[0], aspect * span_m[1]), *widths_m))
     # Where not all of it fits, what is around the ego goes before.
-    free = 0.5 * np.array([width_m, width_m / aspect]) - PADDING_M
+    free = 0.5 * np.array([width_m, width_m / aspect]) - padding_m
     core = np.concatenate([p for moment in moments for p in _core(moment)])
     most, least = core.min(axis=0) + free, core.max(axis=0) - free
     centre = 0.5 * (low + high)

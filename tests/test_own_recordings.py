@@ -1,0 +1,280 @@
+"""Recordings of one's own: lines from others of them, a choice of lines fitted to the site."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from conftest import crossing_lanes
+from test_track_lines import traffic as drivers
+from test_track_lines import write_recording
+
+from hatn_sim import cli
+from hatn_sim.datatypes import DT_S
+from hatn_sim.errors import InputError
+from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.predictor import Hatn
+from hatn_sim.hatn.sgn import SemanticGraphNetwork
+from hatn_sim.hatn.sgn_settings import SgnSettings
+from hatn_sim.hatn.weights_io import load_weights, save_weights
+from hatn_sim.learn.cache import SampleCache, key_of
+from hatn_sim.learn.fit import FitSettings
+from hatn_sim.learn.line_choice import choice_figures
+from hatn_sim.learn.line_samples import choice_samples, joined
+from hatn_sim.learn.settings import FORMS, TrainingSettings
+from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
+from hatn_sim.learn.sources import played
+from hatn_sim.learn.split import Split, make_split, traffic_of_scenes, traffic_of_tracks
+from hatn_sim.learn.train import TrainingPlan, train
+from hatn_sim.learn.watch import Nobody
+from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
+from hatn_sim.log import Run, read_run
+from hatn_sim.recordings.lanelet2.writer import write_lanelet2
+from hatn_sim.road import Road
+
+RECORDINGS = 7
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of a crossing where turns are cut by metres, five vehicles on each way."""
+    folder = tmp_path_factory.mktemp("site")
+    write_lanelet2(folder / "map.osm", crossing_lanes())
+    for k in range(RECORDINGS):
+        write_recording(folder, f"{k:03d}", drivers(5, seed=k))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def tracks(site: Path) -> list[str]:
+    return ["--tracks", str(site / "vehicle_tracks_*.csv"), "--map", str(site / "map.osm")]
+
+
+def evaluate(site: Path, *words: object) -> int:
+    fixed = ["--predictors", "constant_velocity", "--workers", "1", "--duration", "8"]
+    return cli.main(["evaluate", *tracks(site), *fixed, *map(str, words)])
+
+
+def log(out: str, recording: str) -> Run:
+    (path,) = Path(out, "runs").glob(f"*-{recording}")
+    return read_run(path)
+
+
+# -- evaluate -----------------------------------------------------------------------------------
+
+
+def test_every_recording_is_judged_on_lines_of_others(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(site, "--out", "out", "--json") == 0
+    printed = capsys.readouterr()
+    assert "drawn from 75 vehicles of 5 other recordings" in printed.err
+    scores = json.loads(printed.out)
+    assert all(score["n"] > 100 for score in scores if score["measure"] == "ade_3s")
+    every = {f"{k:03d}" for k in range(RECORDINGS)}
+    for k, name in enumerate(sorted(every)):
+        about = log("out", name).header["settings"]["lines_from"]
+        # Dealt into five groups: 000 and 005 are of one, 001 and 006.
+        group = {f"{j:03d}" for j in range(k % 5, RECORDINGS, 5)}
+        assert about["source"] == "tracks" and set(about["recordings"]) == every - group
+        assert about["vehicles"] == 15 * len(every - group)
+    assert evaluate(site, "--out", "out") == 0
+    assert "7 of 7 runs are in" in capsys.readouterr().err
+    assert evaluate(site, "--out", "out", "--lines-from", "lanes", "--quiet") == 2
+    assert "was made otherwise: expected settings." in capsys.readouterr().err
+
+
+def test_the_command_in_a_log_makes_the_same_run(site: Path) -> None:
+    assert evaluate(site, "--recordings", "001-002", "--out", "out", "--quiet") == 0
+    evaluated = log("out", "001")
+    words = shlex.split(str(evaluated.header["command"]))
+    assert words[:2] == ["hatn-sim", "run"]
+    assert cli.main([*words[1:], "--out", "again", "--quiet", "--no-picture"]) == 0
+    again = read_run(Path("again"))
+    assert again.header["settings"] == evaluated.header["settings"]
+    mine, theirs = (one.predictions("constant_velocity", 5) for one in (again, evaluated))
+    assert len(mine.frame) > 10
+    np.testing.assert_array_equal(mine.xy_m, theirs.xy_m)
+
+
+def test_lines_are_asked_for_with_tracks_alone(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("evaluate", "--scenes", "tjunction", "--lines-from", "lanes")
+    assert cli.main([*words]) == 2
+    assert "--lines-from lanes goes with --tracks; leave it out" in capsys.readouterr().err
+    alone = ["--tracks", str(site / "vehicle_tracks_000.csv"), "--map", str(site / "map.osm")]
+    told = ["evaluate", *alone, "--lines-from", "tracks"]
+    assert cli.main([*told, "--predictors", "constant_velocity"]) == 2
+    assert "found 0 vehicles in 0 other recordings" in capsys.readouterr().err
+
+
+# -- the choice of lines ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def split(site: Path) -> Split:
+    def part(recordings: str) -> Any:
+        return traffic_of_tracks([str(site / "vehicle_tracks_*.csv")], site / "map.osm", recordings)
+
+    return make_split({"train": part("000-002"), "tune": part("003-004")})
+
+
+@pytest.fixture(scope="module")
+def fitted(split: Split) -> SiteChoice | None:
+    torch.set_num_threads(1)
+    return fit_to_sites(split, 1, Nobody())
+
+
+class Told(Nobody):
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def test_a_choice_is_fitted_to_the_site_and_better_there(
+    split: Split, fitted: SiteChoice | None
+) -> None:
+    """Held against choices that are cut from the tuning recordings here."""
+    assert fitted is not None
+    cases = []
+    for one in split.tune:
+        with played(one) as (simulator, frames):
+            cases.append(choice_samples(simulator.road, frames, shipped_line_choice()))
+    before = choice_figures(joined(cases), shipped_line_choice())
+    after = choice_figures(joined(cases), fitted.choice)
+    assert after.n == before.n > 50
+    assert after.log_loss < before.log_loss and after.wrong <= before.wrong
+    assert fitted.card["tune"] == after._asdict()
+    assert fitted.card["tune_shipped"] == before._asdict()
+
+
+def test_a_worse_choice_is_not_taken(split: Split, monkeypatch: pytest.MonkeyPatch) -> None:
+    by_hand = HAND_MADE_CHOICE.to_arrays()
+    worse = LineChoice.from_arrays({**by_hand, "linear": -by_hand["linear"]})
+    told = Told()
+    monkeypatch.setattr("hatn_sim.learn.site_lines.fit_line_choice", lambda *_: worse)
+    assert fit_to_sites(split, 1, told) is None
+    assert told.lines[-1].endswith("the shipped one is taken")
+
+
+def test_simulated_scenes_need_no_choice_of_their_own() -> None:
+    scenes = {
+        part: traffic_of_scenes(["tjunction"], [seed]) for part, seed in (("train", 1), ("tune", 2))
+    }
+    assert fit_to_sites(make_split(scenes), 1, Nobody()) is None
+
+
+def test_samples_hang_on_the_choice_that_they_were_cut_with(split: Split) -> None:
+    own = split.with_choice(shipped_line_choice())
+    again = split.with_choice(LineChoice.from_arrays(shipped_line_choice().to_arrays()))
+    keys = [[key_of(one) for one in each.train] for each in (split, own, again)]
+    assert keys[1] == keys[2]
+    assert not set(keys[0]) & set(keys[1])
+
+
+@pytest.fixture
+def networks() -> tuple[SemanticGraphNetwork, EncoderDecoderNetwork]:
+    torch.manual_seed(0)
+    sgn = SemanticGraphNetwork(SgnSettings(width=8))
+    return sgn, EncoderDecoderNetwork(EdnSettings(width=8))
+
+
+def moved(by: float) -> LineChoice:
+    arrays = shipped_line_choice().to_arrays()
+    return LineChoice.from_arrays({**arrays, "linear": arrays["linear"] + by})
+
+
+def test_a_choice_goes_with_the_weights_and_is_shared(
+    tmp_path: Path, networks: tuple[SemanticGraphNetwork, EncoderDecoderNetwork]
+) -> None:
+    for name, by in (("a", 0.1), ("b", 0.1), ("c", 0.2)):
+        save_weights(tmp_path / f"{name}.safetensors", *networks, {}, moved(by))
+    a, b, c = (load_weights(tmp_path / f"{name}.safetensors") for name in "abc")
+    assert a.line_choice is not None and a.line_choice is b.line_choice is not c.line_choice
+    for name, values in moved(0.1).to_arrays().items():
+        np.testing.assert_array_equal(a.line_choice.to_arrays()[name], values)
+    road = Road(crossing_lanes())
+    one, two, three = (Hatn(weights, "hatn").init(road) for weights in (a, b, c))
+    assert one.choice is a.line_choice and one is two is not three
+    card = tmp_path / "c.json"
+    content = json.loads(card.read_text())
+    card.write_text(json.dumps({**content, "line_features": ["another"]}))
+    with pytest.raises(InputError, match="made for other features of lines"):
+        load_weights(tmp_path / "c.safetensors")
+    save_weights(tmp_path / "d.safetensors", *networks, {})
+    assert load_weights(tmp_path / "d.safetensors").line_choice is None
+
+
+class Stopping(Nobody):
+    def step(self, stage: str, done: int, total: int, words: str) -> None:
+        if (stage, done) == ("EDN", 2):
+            raise KeyboardInterrupt
+
+
+def test_a_training_on_recordings_keeps_its_choice(
+    tmp_path: Path, split: Split, fitted: SiteChoice | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped and gone on with, it does not fit again and ends in the same weights."""
+    assert fitted is not None
+    fits: list[Split] = []
+
+    def fit(split: Split, *_: object) -> SiteChoice:
+        fits.append(split)
+        return fitted
+
+    monkeypatch.setattr("hatn_sim.learn.train.fit_to_sites", fit)
+    quick = FitSettings(epochs=1, batch=64)
+    edn = replace(FORMS["hatn"].edn, width=8)
+    settings = TrainingSettings(SgnSettings(width=8), edn, sgn_fit=quick, edn_fit=quick)
+    small = replace(split, train=split.train[:1], tune=split.tune[:1])
+    cache = SampleCache(tmp_path / "cache")
+    plan = TrainingPlan(small, {"hatn": settings}, workers=1, cache=cache)
+    (card,) = train(plan, tmp_path / "whole.safetensors").values()
+    assert card["line_choice"] == dict(fitted.card)
+    out = tmp_path / "w.safetensors"
+    with pytest.raises(KeyboardInterrupt):
+        train(plan, out, Stopping())
+    train(plan, out)
+    assert len(fits) == 2
+    assert out.read_bytes() == (tmp_path / "whole.safetensors").read_bytes()
+    found = load_weights(out).line_choice
+    assert found is not None and found.sha256 == fitted.choice.sha256
+
+
+# -- adaptation ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "who", [("--drive", "ego", "--agent", "constant_speed"), ("--egos", "ego")]
+)
+def test_who_is_driven_or_advised_is_not_adapted(
+    tmp_path: Path,
+    networks: tuple[SemanticGraphNetwork, EncoderDecoderNetwork],
+    who: tuple[str, ...],
+) -> None:
+    path = tmp_path / "w.safetensors"
+    save_weights(path, *networks, {})
+    words = ["run", "highway_intersection", "--duration", "3", "--warm-up", "0", "--quiet"]
+    words += ["--weights", str(path), "--adapt", "mekf", "--no-picture", "--out", "run", *who]
+    assert cli.main(words) == 0
+    logged = read_run(Path("run"))
+    said = logged.predictions("hatn")
+    ego = said.vehicle == logged.ids.index("ego")
+    late = said.frame > round(1.5 / DT_S)
+    assert not said.adapted[ego].any()
+    assert said.adapted[late & ~ego].any()
+    assert logged.header["weights_sha256"] == {"hatn": load_weights(path).sha256}
