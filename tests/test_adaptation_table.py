@@ -89,7 +89,7 @@ def test_the_command(
     told = capsys.readouterr().out
     assert "hatn-paper in tjunction" in told and "hatn in tjunction" in told
     assert "paper: ADE 2 -20.5 % in its intersection and -28.7 % in its roundabout" in told
-    assert max(map(len, told.splitlines())) <= 100
+    assert all(len(line) <= 100 for line in told.splitlines() if str(out) not in line)
     for name in ("steps-hatn", "layers-hatn", "steps-hatn-paper", "layers-hatn-paper"):
         assert (out / f"{name}.png").stat().st_size > 5000
         assert (out / f"{name}.pdf").stat().st_size > 1000

@@ -153,7 +153,7 @@ def _summary(steps: Sequence[Row], layers: Sequence[Row]) -> str:
     if by_layer:
         layer = min(by_layer, key=lambda name: by_layer[name]["ade2"].share)
         said.append(f"best layer {LAYERS[layer].translate(str.maketrans('', '', '${}'))}")
-    said.append(f"3 s from now (ADE 4) {_percent(chosen['ade4'].share)} %")
+    said.append(f"ADE 4 {_percent(chosen['ade4'].share)} %")
     return "; ".join(said)
 
 
