@@ -156,9 +156,12 @@ def test_every_recording_is_a_run_on_cores_side_by_side(capsys: pytest.CaptureFi
     words = (*tracks, "--recordings", "001-002", *end)
     assert evaluate(*words, "--workers", "2", "--json") == 0
     printed = capsys.readouterr()
-    assert {line.rpartition(", ")[0] for line in printed.err.splitlines()} == {
+    *progress, notice = printed.err.splitlines()
+    assert {line.rpartition(", ")[0] for line in progress} == {
         f"{Path.cwd().name}, {name}: 90 steps" for name in ("001", "002")
     }
+    # Each has the third and the other one's thirteen vehicles: too few to draw lines from.
+    assert "along the lanes of the map: found 26 vehicles in 2 other recordings" in notice
     both = scores(printed.out)
     assert evaluate(*tracks, "--recordings", 1, *ONE, "--duration", 9, "--json", "--quiet") == 0
     one = scores(capsys.readouterr().out)
