@@ -48,7 +48,7 @@ def test_who_is_advised_is_predicted_as_without_adaptation(
         state = adaptive.observe(state, frame.scene)
     plain, prediction = hatn.predict(plain_state), adaptive.predict(state)
     check_prediction(adaptive.name, prediction, frames[30].scene)
-    assert 2 < prediction.adapted.sum() < len(frames[30].scene.ids)
+    assert 0 < prediction.adapted.sum() < len(frames[30].scene.ids)
     assert not prediction.adapted[0]
     kept = ~prediction.adapted
     np.testing.assert_array_equal(prediction.xy_m[kept], plain.xy_m[kept])

@@ -135,16 +135,23 @@ def test_motion_decides_soon_after_the_fork(path: Points, connection: str) -> No
             assert watcher.probability > 0.9
 
 
-@pytest.mark.parametrize(("blinker", "connection"), [(0, "a_s"), (1, "a_l"), (-1, "a_r")])
+@pytest.mark.parametrize(("blinker", "connection"), [(1, "a_l"), (-1, "a_r")])
 def test_a_blinker_decides_before_the_fork(blinker: int, connection: str) -> None:
     route = route_at(Road(fork_lanes()), drive([(-70.0, 0.0), (-20.0, 0.0)]), blinker)
     assert connection in route
 
 
+def test_no_blinker_means_straight_on_where_people_signal() -> None:
+    """The learnt choice does not believe it of one who has never been seen beside others."""
+    watcher = Watcher(Road(fork_lanes()), HAND_MADE_CHOICE)
+    poses = drive([(-70.0, 0.0), (-20.0, 0.0)])
+    assert "a_s" in [watcher.see(pose) for pose in poses][-1]
+
+
 def test_a_blinker_that_is_set_late_counts_at_once() -> None:
     watcher = Watcher(Road(fork_lanes()))
     *before, last = drive([(-70.0, 0.0), (-5.0, 0.0)])
-    assert "a_s" in [watcher.see(pose) for pose in before][-1]
+    assert "a_l" not in [watcher.see(pose, blinker=-1) for pose in before][-1]
     assert "a_l" in watcher.see(last, blinker=1)
 
 

@@ -208,7 +208,7 @@ def test_a_job_that_fails_is_one_line_and_the_others_are_kept(tmp_path: Path) ->
     kept = SampleCache(tmp_path / "kept")
     with pytest.raises(InputError) as failed:
         gather("train", [short(4), *broken], kept, 1, Told())
-    assert str(failed.value).startswith(f"site, vehicle_tracks_000: {path}")
+    assert str(failed.value).startswith(f"site, 000: {path}")
     assert "\n" not in str(failed.value)
     assert kept.load(short(4)) is not None
 
