@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from typing import Any
+from tempfile import mkdtemp
 
 import pytest
 
@@ -13,61 +13,60 @@ from hatn_sim.cli import main
 from hatn_sim.predictors.find import PREDICTORS
 
 RULES = tuple(name for name in PREDICTORS if name != "constant_velocity")
-COMMAND = "evaluate --seeds 601-605 --duration 120 --predictors hatn,{} --quiet --json --scenes {}"
+COMMAND = (
+    "evaluate --seeds 601-605 --duration 120 --predictors hatn,{} --quiet --scenes {} --out {}"
+)
+SCENES = (
+    "intersection5",
+    "intersection4_allway",
+    "tjunction",
+    "roundabout8",
+    "roundabout4_two_lane",
+)
 
 
-@pytest.fixture
-def value(capsys: pytest.CaptureFixture[str]) -> Callable[[str], Callable[..., float]]:
-    """Evaluates a scene; gives its measures."""
+@cache
+def values(scene: str) -> dict[tuple[str, str, str], float]:
+    """The measures of a scene, evaluated once for all tests, by measure, predictor and subset."""
+    out = Path(mkdtemp()) / scene
+    assert main(COMMAND.format(",".join(PREDICTORS), scene, out).split()) == 0
+    scores = json.loads((out / "scores.json").read_text())
+    return {(s["measure"], s["predictor"], s["subset"]): s["value"] for s in scores}
 
-    def of_scene(scene: str) -> Callable[..., float]:
-        words = COMMAND.format(",".join(PREDICTORS), scene).split()
-        assert main(words) == 0
-        scores: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
 
-        def measure(name: str, predictor: str = "hatn", subset: str = "all") -> float:
-            (found,) = (
-                score["value"]
-                for score in scores
-                if (score["measure"], score["predictor"], score["subset"])
-                == (name, predictor, subset)
-            )
-            return float(found)
+def missed(scene: str, why: str) -> object:
+    """A target that these weights do not reach; strict, so that reaching it is noticed."""
+    return pytest.param(scene, 0.6, marks=pytest.mark.xfail(strict=True, reason=why))
 
-        return measure
 
-    return of_scene
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", SCENES)
+def test_accuracy_on_unseen_seeds(scene: str) -> None:
+    value = values(scene)
+    share = 0.25 if scene == "intersection5" else 0.4
+    for subset in ("all", "moving"):
+        baseline = value["ade_3s", "constant_velocity", subset]
+        assert value["ade_3s", "hatn", subset] <= share * baseline
+        best = min(value["ade_0s3", rule, subset] for rule in RULES)
+        assert value["ade_0s3", "hatn", subset] < best
+    assert value["slot_accuracy", "hatn", "all"] >= 0.905
+    assert value["slot_macro_f1", "hatn", "all"] >= 0.8
+    assert value["slot_ece", "hatn", "all"] <= 0.03
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("scene", "of_constant_velocity", "of_best_rule"),
+    ("scene", "share"),
     [
-        ("intersection5", 0.25, 0.5),
-        ("intersection4_allway", 0.4, 0.6),
-        ("tjunction", 0.4, 0.65),
-        ("roundabout8", 0.4, 0.65),
-        ("roundabout4_two_lane", 0.4, 0.75),
+        ("intersection5", 0.5),
+        ("intersection4_allway", 0.6),
+        missed("tjunction", "0.603"),
+        missed("roundabout8", "0.613"),
+        missed("roundabout4_two_lane", "0.696 over moving samples"),
     ],
 )
-def test_accuracy_on_unseen_seeds(
-    scene: str,
-    of_constant_velocity: float,
-    of_best_rule: float,
-    value: Callable[[str], Callable[..., float]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    measure = value(scene)
+def test_error_against_the_best_rule(scene: str, share: float) -> None:
+    value = values(scene)
     for subset in ("all", "moving"):
-        error = measure("ade_3s", "hatn", subset)
-        best = min(measure("ade_3s", rule, subset) for rule in RULES)
-        assert error <= of_constant_velocity * measure("ade_3s", "constant_velocity", subset)
-        assert error <= of_best_rule * best
-        assert measure("ade_0s3", "hatn", subset) < min(
-            measure("ade_0s3", rule, subset) for rule in RULES
-        )
-    assert measure("slot_accuracy") >= 0.905
-    assert measure("slot_macro_f1") >= 0.8
-    assert measure("slot_ece") <= 0.03
+        best = min(value["ade_3s", rule, subset] for rule in RULES)
+        assert value["ade_3s", "hatn", subset] <= share * best
