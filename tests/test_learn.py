@@ -196,6 +196,9 @@ def test_the_last_good_weights_are_written_where_a_loss_is_lost(
     assert all(torch.isfinite(value).all() for value in load_file(kept).values())
     if network == "edn":
         assert load_weights(out).card["stopped"].startswith("training EDN: the loss became nan")
+        calls = steps  # the second epoch alone is trained again, and lost again
+        with pytest.raises(HatnSimError, match=r"^training EDN: the loss became nan at step"):
+            train(make_plan(split), out)
 
 
 def run_train(*words: object) -> int:
@@ -235,6 +238,15 @@ def test_a_place_that_cannot_be_written_is_found_before_simulating(
     (tmp_path / "file").touch()
     out = tmp_path / "file" / "x.safetensors"
     assert refused(*SHORT, "--out", out).startswith(f"weights {out}: cannot be written there: ")
+
+
+@pytest.mark.usefixtures("no_traffic")
+@pytest.mark.parametrize("text", ["{", "[]", "{}"])
+def test_a_damaged_plan_is_one_line(tmp_path: Path, refused: Callable[..., str], text: str) -> None:
+    (tmp_path / "x.progress").mkdir()
+    (tmp_path / "x.progress" / "plan.json").write_text(text)
+    said = refused(*SHORT, "--out", tmp_path / "x.safetensors")
+    assert said.startswith(f"{tmp_path / 'x.progress'}: is of a training with other traffic, ")
 
 
 @pytest.mark.usefixtures("no_traffic")
