@@ -339,6 +339,7 @@ def test_a_process_that_is_killed_is_one_line() -> None:
         (("--scenes", "recorded_sample", "--seeds", "1"), "--seeds: recorded traffic has no seed"),
         (("--scenes", "recorded_sample", "--lines", "route"), "--lines route: recorded tracks kn"),
         (("--weights", "w.safetensors"), "--weights w.safetensors: constant_velocity, idm cannot"),
+        (("--weights", ".", "--predictors", "hatn"), "weights .: expected a .safetensors file"),
         (("--out", "file"), "file: expected a folder, found a file; choose another --out"),
         (("--adapt", "kalman"), "argument --adapt: invalid choice: 'kalman'"),
         (("--workers", "0"), "argument --workers: expected a whole number above 0, found '0'"),

@@ -238,6 +238,10 @@ def test_a_place_that_cannot_be_written_is_found_before_simulating(
     (tmp_path / "file").touch()
     out = tmp_path / "file" / "x.safetensors"
     assert refused(*SHORT, "--out", out).startswith(f"weights {out}: cannot be written there: ")
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text("[sgn]\nwidth = [8]\n")
+    said = refused(*SHORT, "--sweep", sweep, "--out", out)
+    assert "x.sweep.jsonl: cannot be written there: " in said
 
 
 @pytest.mark.usefixtures("no_traffic")
@@ -286,6 +290,7 @@ TRACKS = ("--tracks", "{sample}/vehicle_tracks_000.csv", "--map", "{sample}/map.
         (("--settings", "{tmp}/a.toml"), "{tmp}/a.toml: unknown setting 'sgn.widht'; did you mean"),
         (("--settings", "{tmp}/b.toml"), "{tmp}/b.toml: edn.width: expected a whole number from"),
         (("--settings", "{tmp}/c.toml"), "{tmp}/c.toml: unknown table 'fit'; did you mean '"),
+        (("--sweep", "{tmp}/d.toml", "--torch-seed", "-1"), "--torch-seed -1: expected 0 or more"),
         (("--sweep", "{tmp}/a.toml"), "{tmp}/a.toml: unknown setting 'sgn.widht'; did you mean "),
     ],
 )
@@ -295,6 +300,7 @@ def test_words_that_are_wrong(
     (tmp_path / "a.toml").write_text("[sgn]\nwidht = [3]\n")
     (tmp_path / "b.toml").write_text("[edn]\nwidth = 0.5\n")
     (tmp_path / "c.toml").write_text("[fit]\nbatch = 1\n")
+    (tmp_path / "d.toml").write_text("[sgn]\nwidth = [8]\n")
     places = {"tmp": tmp_path, "sample": scenarios_dir() / "recorded_sample"}
     said = refused(*(word.format(**places) for word in words), "--out", tmp_path / "x.safetensors")
     assert said.startswith(expected.format(**places))

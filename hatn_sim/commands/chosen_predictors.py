@@ -24,7 +24,13 @@ def load_predictors(
     them, and where two call themselves the same.
     """
     from hatn_sim.errors import InputError
-    from hatn_sim.predictors.find import PAPER, READS_WEIGHTS, load_predictor, weights_of
+    from hatn_sim.predictors.find import (
+        PAPER,
+        READS_WEIGHTS,
+        load_predictor,
+        paper_beside,
+        weights_of,
+    )
 
     wanted = dict.fromkeys(names)
     given = None if weights is None else f"--weights {weights}"
@@ -32,7 +38,7 @@ def load_predictors(
     if given is not None and READS_WEIGHTS.isdisjoint(wanted):
         raise InputError(f"{given}: {', '.join(wanted)} cannot use it; leave it out, or add hatn")
     if not quiet and PAPER in wanted and weights is not None:
-        beside = weights.with_stem(f"{weights.stem}-paper")
+        beside = paper_beside(weights)
         if weights_of(PAPER, weights) != beside:
             print(
                 f"hatn-sim: {PAPER}: {beside.name} is not beside {weights}; "

@@ -158,6 +158,8 @@ def load_weights(path: Path) -> Weights:
 
     InputError where it or its card is missing, corrupt, of another format or for other features.
     """
+    if path.is_dir():
+        raise InputError(f"weights {path}: expected a .safetensors file, found a folder")
     card_path = path.with_suffix(".json")
     for needed in (path, card_path):
         if not needed.is_file():

@@ -72,9 +72,7 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
         HatnSimError: traffic fails, or a loss is lost; see `LossError`.
     """
     watch = watch or Nobody()
-    place = Workplace(plan.seed, _device(plan), progress_folder(out), watch)
-    make_folder(out)
-    torch.set_num_threads(1)  # two are slower at this size
+    place = replace(begin_work(plan, out, watch), progress=progress_folder(out))
     going_on = _goes_on(plan, out)
     site = _kept_choice(out) if going_on else fit_to_sites(plan.split, _workers(plan), watch)
     choice = None if site is None else site.choice
@@ -287,12 +285,18 @@ def described(plan: TrainingPlan) -> dict[str, Any]:
     }
 
 
-def _device(plan: TrainingPlan) -> torch.device:
+def begin_work(plan: TrainingPlan, out: Path, watch: Watch) -> Workplace:
+    """Where a plan is carried out, without checkpoints; the folder of `out` is made.
+
+    Raises InputError where seed, device or folder are unfit.
+    """
     if not 0 <= plan.seed <= MAX_SEED:
         raise InputError(f"--torch-seed {plan.seed}: expected 0 or more, and less than 2^64")
     if plan.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no such device here; leave it out")
-    return torch.device(plan.device)
+    make_folder(out)
+    torch.set_num_threads(1)  # two are slower at this size
+    return Workplace(plan.seed, torch.device(plan.device), watch=watch)
 
 
 def _check_samples(part: str, samples: Samples, pieces: int) -> None:

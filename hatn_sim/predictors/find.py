@@ -104,6 +104,11 @@ def _network(name: str, weights: Path, adapt: str, unadapted: frozenset[str]) ->
     return AdaptiveHatn(hatn, settings, unadapted)
 
 
+def paper_beside(weights: Path) -> Path:
+    """Where the paper's form has its weights, if `weights` are those of `hatn`."""
+    return weights.parent / f"{weights.stem}-paper{weights.suffix}"
+
+
 def weights_of(name: str, weights: Path | None) -> Path:
     """The weight file of a network.
 
@@ -112,7 +117,6 @@ def weights_of(name: str, weights: Path | None) -> Path:
     """
     if weights is not None and name != PAPER:
         return weights
-    beside = None if weights is None else weights.with_stem(f"{weights.stem}-paper")
-    if beside is not None and beside.is_file():
+    if weights is not None and (beside := paper_beside(weights)).is_file():
         return beside
     return weights_dir() / f"{name}.safetensors"
