@@ -20,7 +20,14 @@ from torch import Tensor, nn
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.hatn import edn_plain
-from hatn_sim.hatn.kinematics import Present, gap_ahead_m, path_along, positions, present_motion
+from hatn_sim.hatn.kinematics import (
+    Present,
+    gap_ahead_m,
+    largest_curvature_per_m,
+    path_along,
+    positions,
+    present_motion,
+)
 from hatn_sim.hatn.travel import PROFILE_S
 
 Signal = Literal["none", "transform", "input", "output", "hidden"]
@@ -157,9 +164,7 @@ class EncoderDecoderNetwork(nn.Module):
         history = batch.history
         now = present_motion(history)
         usual_m = BLEND_M + BLEND_S / DT_S * now.increment_m
-        arc = path_along(
-            batch.line, now.course_rad, now.curvature_per_m + now.curving_per_m, usual_m
-        )
+        arc = path_along(batch.line, now.course_rad, _curvature(now, 1.0), usual_m)
         ahead_m = now.increment_m.unsqueeze(-1) / DT_S * history.new_tensor(GAP_AT_S)
         gaps_m = gap_ahead_m(arc, ahead_m + history.new_tensor(GAP_AT_S))
         read = _kinematic_history(history, now, gaps_m)
@@ -172,7 +177,7 @@ class EncoderDecoderNetwork(nn.Module):
                     now.increment_m,
                     now.acceleration_mps2,
                     now.course_rad,
-                    now.curvature_per_m + 2.0 * correction[:, 5].sigmoid() * now.curving_per_m,
+                    _curvature(now, 2.0 * correction[:, 5].sigmoid()),
                 ),
                 -1,
             )
@@ -354,6 +359,13 @@ def _gru(
 
 _KINEMATIC_HISTORY: Final = 14 + len(GAP_AT_S)
 _KINEMATIC_STATE: Final = 6
+
+
+def _curvature(now: Present, trend: float | Tensor) -> Tensor:
+    """How the path goes on [B], with so much of how its curvature has changed."""
+    onward = now.curvature_per_m + trend * now.curving_per_m
+    most = largest_curvature_per_m(now.increment_m)
+    return onward.clamp(-most, most)
 
 
 def _kinematic_history(history: Tensor, now: Present, gaps_m: Tensor) -> Tensor:

@@ -22,6 +22,8 @@ Y: Final = HISTORY.index("y_m in the vehicle's frame of now")
 YAW: Final = HISTORY.index("yaw_rad since now")
 SPEED: Final = HISTORY.index("speed_mps")
 MAX_CURVATURE_PER_M: Final = 0.25
+MAX_LATERAL_MPS2: Final = 15.0
+"""Nothing on wheels turns harder: what a heading says beyond is noise."""
 SLOW_M: Final = 0.05
 """Increments shorter than this in 0.1 s tell no direction."""
 SHORT_M: Final = 0.35
@@ -55,9 +57,8 @@ def present_motion(history: Tensor) -> Present:
     driven = step.norm(dim=-1)
     late = (yaw[:, -1] - yaw[:, -3]) / driven[:, -2:].sum(-1).clamp(min=SHORT_M)
     early = (yaw[:, -3] - yaw[:, -5]) / driven[:, -4:-2].sum(-1).clamp(min=SHORT_M)
-    late, early = (
-        curvature.clamp(-MAX_CURVATURE_PER_M, MAX_CURVATURE_PER_M) for curvature in (late, early)
-    )
+    most = largest_curvature_per_m(length)
+    late, early = late.clamp(-most, most), early.clamp(-most, most)
     curvature = 0.5 * (late + early)
     speed = history[..., SPEED]
     return Present(
@@ -67,6 +68,12 @@ def present_motion(history: Tensor) -> Present:
         curvature_per_m=curvature,
         curving_per_m=late - early,
     )
+
+
+def largest_curvature_per_m(increment_m: Tensor) -> Tensor:
+    """Of the path of vehicles [B] that drive `increment_m` in a frame."""
+    square = (increment_m / DT_S).square().clamp(min=1e-3)
+    return (MAX_LATERAL_MPS2 / square).clamp(max=MAX_CURVATURE_PER_M)
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,6 +97,7 @@ def features() -> dict[str, Any]:
             *edn_module.GAP_AT_S,
             edn_module.GAP_M,
             kinematics.MAX_CURVATURE_PER_M,
+            kinematics.MAX_LATERAL_MPS2,
             kinematics.SLOW_M,
             kinematics.SHORT_M,
         ],

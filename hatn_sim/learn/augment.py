@@ -62,6 +62,7 @@ _HISTORY_SIDES: Final = tuple(
     if name.startswith(("d_m", "speed_mps across", "phi", "y_m", "yaw"))
 )
 _HEADING: Final = HISTORY.index("phi_rad")
+_YAW: Final = HISTORY.index("yaw_rad since now")
 _OFFSET: Final = HISTORY.index("d_m")
 _PLACE: Final = tuple(index for index, name in enumerate(HISTORY) if name.startswith(("x_", "y_m")))
 _LATERAL: Final = _entry("lateral_m")
@@ -173,4 +174,13 @@ def shift_vehicles(batch: VehicleBatch, left_m: Tensor) -> VehicleBatch:
     """Vehicles [B] that drive alike beside a line that lies `left_m` [B] farther to the right."""
     history = batch.history.clone()
     history[..., _OFFSET] = history[..., _OFFSET] + left_m[:, None]
+    return replace(batch, history=history)
+
+
+def shake_vehicles(batch: VehicleBatch, std_rad: Tensor) -> VehicleBatch:
+    """Vehicles [B] whose headings were measured with errors of `std_rad` [B] until now."""
+    history = batch.history.clone()
+    error = std_rad[:, None] * torch.randn(history.shape[:2])
+    error[:, -1] = 0.0  # headings count from that of now
+    history[..., _YAW] = history[..., _YAW] + error
     return replace(batch, history=history)

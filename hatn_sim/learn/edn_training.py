@@ -16,6 +16,7 @@ from hatn_sim.learn.augment import (
     mirror_vehicles,
     random_scale,
     scale_vehicles,
+    shake_vehicles,
     shift_vehicles,
     turn_vehicles,
 )
@@ -33,9 +34,11 @@ SOON_FRAMES: Final = 5
 MIRRORED: Final = 0.5
 """Share of samples seen in a mirror."""
 CHANGED: Final = 0.3
-"""Share of those that head elsewhere than they drive, and of those that keep beside the line ..."""
+"""Share of those that head elsewhere than they drive, that keep beside the line, and whose headings
+are measured badly ..."""
 TURN_STD_RAD: Final = 0.08
 SHIFT_STD_M: Final = 0.5
+SHAKE_STD_RAD: Final = 0.01
 """... by so much."""
 
 
@@ -70,10 +73,9 @@ def training_loss(
         mirrored = torch.rand(len(rows)) < MIRRORED
         batch, future, goal_m = scale_vehicles(batch, future, goal_m, scale)
         batch, future = mirror_vehicles(batch, future, mirrored)
-        turn_rad = TURN_STD_RAD * torch.randn(len(rows)) * (torch.rand(len(rows)) < CHANGED)
-        batch, future = turn_vehicles(batch, future, turn_rad)
-        left_m = SHIFT_STD_M * torch.randn(len(rows)) * (torch.rand(len(rows)) < CHANGED)
-        batch = shift_vehicles(batch, left_m)
+        batch, future = turn_vehicles(batch, future, _some(TURN_STD_RAD, len(rows)))
+        batch = shift_vehicles(batch, _some(SHIFT_STD_M, len(rows)))
+        batch = shake_vehicles(batch, _some(SHAKE_STD_RAD, len(rows)))
         said = model(on(device, batch), goal_m.to(device))
         return edn_loss(said, future.to(device), mask, BY_STEP.to(device))
     truth = edn_plain.targets(
@@ -88,6 +90,11 @@ def training_loss(
     teacher = truth if settings.teacher_forcing and model.training else None
     said = model.native(on(device, batch), goal_m.to(device), teacher=teacher)
     return edn_loss(said, truth, mask, torch.ones(HORIZON_FRAMES, device=device))
+
+
+def _some(std: float, samples: int) -> Tensor:
+    """Numbers [S] of that deviation for a share of the samples, 0 for the others."""
+    return std * torch.randn(samples) * (torch.rand(samples) < CHANGED)
 
 
 @torch.no_grad()
