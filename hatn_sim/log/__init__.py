@@ -13,15 +13,9 @@
 Tables are Parquet parts of `PART_FRAMES` frames each, so a killed run loses at most the last part.
 """
 
-from hatn_sim.log.reader import (
-    Event,
-    PredictionTable,
-    Run,
-    SuggestionChange,
-    TrackTable,
-    read_run,
-)
+from hatn_sim.log.reader import Run, read_run
 from hatn_sim.log.schema import PART_FRAMES, SCHEMA_VERSION
+from hatn_sim.log.tables import Event, PredictionTable, SuggestionChange, TrackTable
 from hatn_sim.log.writer import RunWriter
 
 __all__ = [
