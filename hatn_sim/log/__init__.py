@@ -8,6 +8,7 @@
 | `tracks/`, `frames/` | all that a camera saw: `Scene`, in float64 |
 | `truth/` | what only the simulator knows; closed to predictors |
 | `predictions/NAME/` | what each predictor said of every vehicle |
+| `road.json.gz`, `line_choice.json` | the lanes; how lines were chosen, if not as everywhere |
 | `scores.json` | the scores, once they have been computed |
 
 Tables are Parquet parts of `PART_FRAMES` frames each, so a killed run loses at most the last part.
