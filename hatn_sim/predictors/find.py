@@ -20,9 +20,9 @@ def _constant_velocity() -> Predictor:
 
 
 def _constant_acceleration() -> Predictor:
-    from hatn_sim.predictors.constant_acceleration import ConstantAcceleration
+    from hatn_sim.predictors.constant_acceleration import constant_acceleration
 
-    return ConstantAcceleration()
+    return constant_acceleration()
 
 
 def _constant_turn_rate() -> Predictor:
@@ -32,21 +32,21 @@ def _constant_turn_rate() -> Predictor:
 
 
 def _idm() -> Predictor:
-    from hatn_sim.predictors.idm import IntelligentDriverModel
+    from hatn_sim.predictors.idm import intelligent_driver_model
 
-    return IntelligentDriverModel()
+    return intelligent_driver_model()
 
 
 def _fsm_d() -> Predictor:
-    from hatn_sim.predictors.fsm import CloserBy, FiniteStateMachine
+    from hatn_sim.predictors.fsm import CloserBy, finite_state_machine
 
-    return FiniteStateMachine(CloserBy.DISTANCE)
+    return finite_state_machine(CloserBy.DISTANCE)
 
 
 def _fsm_t() -> Predictor:
-    from hatn_sim.predictors.fsm import CloserBy, FiniteStateMachine
+    from hatn_sim.predictors.fsm import CloserBy, finite_state_machine
 
-    return FiniteStateMachine(CloserBy.TIME)
+    return finite_state_machine(CloserBy.TIME)
 
 
 PREDICTORS: Final[dict[str, Callable[[], Predictor]]] = {
