@@ -18,6 +18,7 @@ from hatn_sim.errors import HatnSimError, InputError, SimulatorError
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.log import RunWriter, read_run
+from hatn_sim.log.choice_file import write_run_choice
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.log.schema import RUN_FILE
 from hatn_sim.loop import Adviser, LineSource, run, warm_up
@@ -139,6 +140,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
         total = plan.frames
         with RunWriter(plan.out, {**plan.header, "settings": settings}) as writer:
             write_road(plan.out / ROAD_FILE, simulator.road.lanes.values())
+            write_run_choice(plan.out, advisers[0].predictor)
 
             def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
                 teller.tell(index)
