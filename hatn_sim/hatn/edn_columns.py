@@ -1,9 +1,7 @@
 """The kinematic decoder for prediction only: what edn.py computes, in half the time.
 
-Vehicles are columns here. What a recurrent step reads is one block of rows: the hidden state, a row
-of ones, which the biases are multiplied by, and the inputs. One product with the block gives all
-gates, and what changes from step to step is changed in place. Letters: B vehicles, H width,
-R = H + 1 + inputs.
+Vehicles are columns here, see `gru_columns.py`, and what changes from step to step is changed in
+place. Letters: B vehicles, H width.
 """
 
 from __future__ import annotations
@@ -21,6 +19,7 @@ from hatn_sim.hatn.edn_kinematic import (
     MAX_SLOPE,
     MAX_SWERVE_PER_M,
 )
+from hatn_sim.hatn.gru_columns import Cell, LastState, gates
 from hatn_sim.hatn.kinematics import path_along, positions, present_motion
 
 _MOTION = 5
@@ -46,13 +45,9 @@ class ColumnDecoder(nn.Module):
         super().__init__()
         self.start = network.start
         of = {name: value.detach() for name, value in network.named_parameters()}
-        of_history = torch.eye(1 + edn_kinematic.HISTORY_SIZE)[:, 1:]
         of_rows = _read_of_rows(network.settings)
-        self.encode = _gates(
-            *(of["encoder.weight_ih_l0"] @ of_history.T, of["encoder.bias_ih_l0"]),
-            *(of["encoder.weight_hh_l0"], of["encoder.bias_hh_l0"]),
-        )
-        self.decode = _gates(
+        self.encode = LastState(network.encoder)
+        self.decode = gates(
             *(of["decoder.weight_ih"] @ of_rows.T, of["decoder.bias_ih"]),
             *(of["decoder.weight_hh"], of["decoder.bias_hh"]),
         )
@@ -75,7 +70,7 @@ class ColumnDecoder(nn.Module):
         `weight` [B, O, H] and `bias` [B, O]: a last layer for each vehicle.
         """
         now = present_motion(history)
-        hidden = self._encoded(edn_kinematic.history_inputs(history, now))
+        hidden = self.encode(edn_kinematic.history_inputs(history, now))
         now, blend_m = edn_kinematic.corrected(now, self.start(hidden.T))
         last = None
         if weight is not None and bias is not None:
@@ -83,17 +78,6 @@ class ColumnDecoder(nn.Module):
         way_m = self._driven(hidden, now.increment_m, now.acceleration_mps2, goal_m, last)
         path = path_along(line, now.course_rad, now.curvature_per_m, blend_m)
         return positions(path, way_m[:, 1].T, way_m[:, 0].T)
-
-    def _encoded(self, read: Tensor) -> Tensor:
-        """The hidden state [H, B] after a history [B, T, HISTORY_SIZE]."""
-        width = self.encode.shape[0] // 4
-        block = read.new_zeros((self.encode.shape[1], read.shape[0]))
-        block[width].fill_(1.0)
-        cell, inputs = _Cell(self.encode, block), block[width + 1 :]
-        for frame in read.permute(1, 2, 0).contiguous().unbind(0):
-            inputs.copy_(frame)
-            cell.step()
-        return cell.hidden
 
     def _driven(
         self,
@@ -111,7 +95,7 @@ class ColumnDecoder(nn.Module):
         ones, still = torch.ones_like(hidden[:1]), torch.zeros_like(told[0, :1])
         rows = (ones, increment[None], acceleration[None], still, still, still, told[0], goal_m.T)
         block = torch.cat((hidden, *rows))
-        cell, state = _Cell(self.decode, block), block[: width + 1]
+        cell, state = Cell(self.decode, block), block[: width + 1]
         deep1, deep2 = torch.cat((hidden, ones)), torch.cat((hidden, ones))
         out1, out2 = deep1[:width], deep2[:width]
         emitted = hidden.new_empty((self.dense3.shape[0], hidden.shape[1]))
@@ -138,39 +122,6 @@ class ColumnDecoder(nn.Module):
             progress.add_(increment)
             way_of_step.copy_(motion[-2:])
         return way_m
-
-
-class _Cell:
-    """A GRU that reads a block [R, B] and changes its first rows, the hidden state, in place."""
-
-    def __init__(self, weight: Tensor, block: Tensor) -> None:
-        width = weight.shape[0] // 4
-        self.weight, self.block, self.hidden = weight, block, block[:width]
-        self.gates = block.new_empty((4 * width, block.shape[1]))
-        self.reset_and_update = self.gates[: 2 * width]
-        self.reset, self.update, self.new, self.heard = self.gates.split(width)
-
-    def step(self) -> None:
-        torch.mm(self.weight, self.block, out=self.gates)
-        self.reset_and_update.sigmoid_()
-        self.new.addcmul_(self.reset, self.heard).tanh_()
-        torch.lerp(self.new, self.hidden, self.update, out=self.hidden)
-
-
-def _gates(weight_ih: Tensor, bias_ih: Tensor, weight_hh: Tensor, bias_hh: Tensor) -> Tensor:
-    """The weights of a GRU for a block: reset, update, new without what it heard, what it heard.
-
-    [4 H, R] from `weight_ih` [3 H, R - H], whose first column is of the row of ones, and the others
-    as torch has them. The new state hears of the old one through its gate: so it stands apart.
-    """
-    width = weight_hh.shape[1]
-    by_input, by_hidden = weight_ih.clone(), torch.zeros_like(weight_ih)
-    by_input[:, 0] += bias_ih
-    by_hidden[:, 0] += bias_hh
-    both = torch.cat((weight_hh, by_input + by_hidden), 1)[: 2 * width]
-    new = torch.cat((torch.zeros_like(weight_hh), by_input), 1)[2 * width :]
-    heard = torch.cat((weight_hh, by_hidden), 1)[2 * width :]
-    return torch.cat((both, new, heard))
 
 
 def _read_of_rows(settings: EdnSettings) -> Tensor:
