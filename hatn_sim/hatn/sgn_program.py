@@ -70,8 +70,8 @@ def _with_columns(network: SemanticGraphNetwork) -> SemanticGraphNetwork:
     """A copy whose GRUs over histories are the faster ones."""
     copy = deepcopy(network)
     if not network.settings.sequential:
-        copy.absolute_gru = _Columns(network.absolute_gru)
-        copy.relative_gru = _Columns(network.relative_gru)
+        copy.add_module("absolute_gru", _Columns(network.absolute_gru))
+        copy.add_module("relative_gru", _Columns(network.relative_gru))
     return copy
 
 
