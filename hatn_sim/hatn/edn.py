@@ -117,7 +117,7 @@ class EncoderDecoderNetwork(nn.Module):
         if settings.clock == "hidden":
             self.embed_clock = nn.Linear(1, width)
         if kinematic:
-            self.start = nn.Linear(width, len(START_LIMITS) + 1)
+            self.start = nn.Linear(width, len(START_LIMITS) + 2)
             nn.init.zeros_(self.start.weight)
             nn.init.zeros_(self.start.bias)
 
@@ -148,7 +148,7 @@ class EncoderDecoderNetwork(nn.Module):
     ) -> Tensor:
         """Accelerations and curvatures, integrated."""
         now = present_motion(batch.history)
-        read = edn_kinematic.history_inputs(batch.history, now)
+        read = edn_kinematic.history_inputs(batch.history, batch.line, now)
         hidden, memory = self._encode(read, goal_m, own, last_layer)
         now, blend_m = edn_kinematic.corrected(now, self.start(hidden))
         increment, acceleration = now.increment_m, now.acceleration_mps2

@@ -70,7 +70,7 @@ class ColumnDecoder(nn.Module):
         `weight` [B, O, H] and `bias` [B, O]: a last layer for each vehicle.
         """
         now = present_motion(history)
-        hidden = self.encode(edn_kinematic.history_inputs(history, now))
+        hidden = self.encode(edn_kinematic.history_inputs(history, line, now))
         now, blend_m = edn_kinematic.corrected(now, self.start(hidden.T))
         last = None
         if weight is not None and bias is not None:

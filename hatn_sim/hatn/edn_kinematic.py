@@ -6,13 +6,19 @@ the paper". Lengths in metres, and in metres a frame where they are increments.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import torch
 from torch import Tensor
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
-from hatn_sim.hatn.kinematics import Present
+from hatn_sim.hatn.kinematics import (
+    Present,
+    gap_ahead_m,
+    largest_curvature_per_m,
+    path_along,
+)
 
 MAX_JERK_MPS3: Final = 30.0
 ACCELERATION_MPS2: Final = (-9.0, 6.0)
@@ -23,14 +29,19 @@ AHEAD_STEPS: Final = 5
 """How many steps ahead of now the goals are read besides."""
 START_LIMITS: Final = (0.03, 3.0, 0.1, 0.05)
 """How far the present increment (m), acceleration, course and curvature may be corrected."""
+GAP_AT_S: Final = (0.5, 1.0, 1.5, 2.0, 3.0)
+"""The network is told how far beside the present arc the line runs, after the way of these times
+and a metre more for each second."""
+GAP_M: Final = 6.0
+"""At most so far."""
 BLEND_M: Final = 4.0
 BLEND_S: Final = 1.0
 """The path is the line's after this and the way of this time, unless the network knows better."""
-HISTORY_SIZE: Final = 13
+HISTORY_SIZE: Final = 14 + len(GAP_AT_S)
 STATE_SIZE: Final = 6
 
 
-def history_inputs(history: Tensor, now: Present) -> Tensor:
+def history_inputs(history: Tensor, line: Tensor, now: Present) -> Tensor:
     """Motion along the line and in the vehicle's own frame, fine differences enlarged.
 
     [B, T, HISTORY_SIZE]; the increments of the first frame repeat those of the second.
@@ -55,22 +66,51 @@ def history_inputs(history: Tensor, now: Present) -> Tensor:
         (length / DT_S - speed) / 0.5,
         acceleration / 2.0,
         now.curvature_per_m.unsqueeze(-1).expand_as(s) / 0.1,
+        now.curving_per_m.unsqueeze(-1).expand_as(s) / 0.05,
+        *(gap.unsqueeze(-1).expand_as(s) / 2.0 for gap in _gaps_m(line, now).unbind(-1)),
     )
     return torch.stack(columns, -1)
+
+
+def _gaps_m(line: Tensor, now: Present) -> Tensor:
+    """How far the line [B, P, 2] runs to the left of the present arc [B, len(GAP_AT_S)]."""
+    arc = path_along(line, now.course_rad, _curvature(now, 1.0), _usual_blend_m(now))
+    after_s = now.increment_m.new_tensor(GAP_AT_S)
+    ahead_m = now.increment_m.unsqueeze(-1) / DT_S * after_s + after_s
+    return gap_ahead_m(arc, ahead_m).clamp(-GAP_M, GAP_M)
+
+
+def _curvature(now: Present, trend: float | Tensor) -> Tensor:
+    """How the path goes on [B], with so much of how its curvature has changed."""
+    onward = now.curvature_per_m + trend * now.curving_per_m
+    most = largest_curvature_per_m(now.increment_m)
+    return onward.clamp(-most, most)
+
+
+def _usual_blend_m(now: Present) -> Tensor:
+    return BLEND_M + BLEND_S / DT_S * now.increment_m
 
 
 def corrected(now: Present, correction: Tensor) -> tuple[Present, Tensor]:
     """The present motion as the network holds it to be, and `Path.blend_m` [B].
 
-    `correction` [B, len(START_LIMITS) + 1] is what it says of them.
+    `correction` [B, len(START_LIMITS) + 2] is what it says of them.
     """
-    known = (now.increment_m, now.acceleration_mps2, now.course_rad, now.curvature_per_m)
+    curvature = _curvature(now, 2.0 * correction[:, 5].sigmoid())
+    known = (now.increment_m, now.acceleration_mps2, now.course_rad, curvature)
     limits = correction.new_tensor(START_LIMITS)
     increment, acceleration, course, curvature = (
         torch.stack(known, -1) + limits * correction[:, :4].tanh()
     ).unbind(-1)
-    blend_m = (BLEND_M + BLEND_S / DT_S * now.increment_m) * correction[:, 4].clamp(-2, 2).exp()
-    return Present(increment.clamp(min=0.0), acceleration, course, curvature), blend_m
+    blend_m = _usual_blend_m(now) * correction[:, 4].clamp(-2, 2).exp()
+    begun = replace(
+        now,
+        increment_m=increment.clamp(min=0.0),
+        acceleration_mps2=acceleration,
+        course_rad=course,
+        curvature_per_m=curvature,
+    )
+    return begun, blend_m
 
 
 def state_inputs(
