@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -50,22 +51,29 @@ def frozen_edn(
     Takes history, line, at and goal_m, and with `own_last_layer` a weight [B, O, width] and a bias
     [B, O] for each vehicle; gives what `EncoderDecoderNetwork.forward` does.
     """
-    settings = network.settings
-    example = (
+    if not own_last_layer:
+        return frozen(_Program(network), example_of(network))
+    outputs, width = network.dense3.weight.shape
+    own = (torch.randn(3, outputs, width), torch.randn(3, outputs))
+    return frozen(_OwnProgram(network), (*example_of(network), *own))
+
+
+def example_of(network: EncoderDecoderNetwork) -> tuple[Tensor, ...]:
+    """History, line, at and goal_m of three vehicles, to trace a program by."""
+    return (
         torch.randn(3, HISTORY_FRAMES, len(HISTORY)),
         torch.randn(3, len(LINE_AT_M), 2).cumsum(1),
         torch.randn(3, 5),
-        torch.rand(3, settings.goal_steps).cumsum(-1),
+        torch.rand(3, network.settings.goal_steps).cumsum(-1),
     )
-    program = _Program(network)
-    if own_last_layer:
-        outputs = network.dense3.out_features
-        example += (torch.randn(3, outputs, settings.width), torch.randn(3, outputs))
-        program = _OwnProgram(network)
+
+
+def frozen(program: nn.Module, example: tuple[Tensor, ...]) -> Callable[..., Any]:
+    """A module as one program for prediction only, traced by what it does to an example."""
     with warnings.catch_warnings(), torch.no_grad():
         # Deprecated in favour of a compiler that a user's machine may not have.
         warnings.simplefilter("ignore")
-        traced: Callable[..., Tensor] = torch.jit.freeze(
+        traced: Callable[..., Any] = torch.jit.freeze(
             torch.jit.trace(program.eval(), example, check_trace=False)
         )
     return traced
