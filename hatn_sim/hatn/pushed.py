@@ -57,14 +57,8 @@ class Pushed:
     def __add__(self, other: Any) -> Pushed:
         return _add(self, other)
 
-    def __radd__(self, other: Any) -> Pushed:
-        return _add(other, self)
-
     def __sub__(self, other: Any) -> Pushed:
         return _subtract(self, other)
-
-    def __rsub__(self, other: Any) -> Pushed:
-        return _subtract(other, self)
 
     def __mul__(self, other: Any) -> Pushed:
         return _multiply(self, other)
@@ -218,11 +212,8 @@ def _expand_as(x: Pushed, other: Tensor) -> Pushed:
 
 RULES: Final[Mapping[str, Callable[..., Any]]] = {
     "add": _add,
-    "radd": lambda x, y: _add(y, x),
     "sub": _subtract,
-    "rsub": lambda x, y: _subtract(y, x),
     "mul": _multiply,
-    "rmul": _multiply,
     "linear": _linear,
     "clamp": _clamp,
     "minimum": _minimum,
