@@ -162,7 +162,11 @@ def test_the_jacobian_of_every_layer_is_that_of_finite_differences(
         return positions_with(network, layer, theta, batch, goal_m, 3).flatten(1)
 
     theta = prior_of(network, layer).repeat(4, 1)
-    _, jacobian = linearise(predict, theta)
+    expected, jacobian = linearise(predict, theta)
+    network.requires_grad_(False)
+    said, by_pushes = lineariser_of(network, layer, 3, as_program=False)(theta, batch, goal_m)
+    torch.testing.assert_close(said, expected, rtol=0, atol=1e-9)
+    torch.testing.assert_close(by_pushes, jacobian, rtol=1e-7, atol=1e-9)
     random = torch.Generator().manual_seed(1)
     for _ in range(3):
         way = torch.randn(theta.shape, generator=random, dtype=torch.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import torch
 from torch import Tensor
@@ -87,23 +87,60 @@ def decoder_of(
     return run
 
 
+class _Watched:
+    """The weight of a layer [B, O, I] that takes note of what it reads, and may be pushed after."""
+
+    def __init__(self, weight: Tensor) -> None:
+        self.weight = weight
+        self.read: list[Tensor] = []  # [B, I] at each step
+        self.pushes: list[Tensor] = []  # [B, O, 1]
+
+    def dim(self) -> int:
+        return self.weight.dim()
+
+    def __matmul__(self, x: Tensor) -> Tensor:
+        out = self.weight @ x
+        self.read.append(x.detach()[..., 0])
+        self.pushes.append(torch.zeros_like(out, requires_grad=True))
+        return out + self.pushes[-1]
+
+
+def linearise_layer(
+    network: EncoderDecoderNetwork,
+    layer: Layer,
+    theta: Tensor,
+    batch: VehicleBatch,
+    goal_m: Tensor,
+    steps: int,
+) -> tuple[Tensor, Tensor]:
+    """`linearise` of `positions_with`, by what pushes on the layer's outputs do.
+
+    The layer takes x_k to W x_k + b at step k, so dy/dW is the sum over steps of dy/d(W x_k + b)
+    times x_k: much smaller than what is differentiated by otherwise.
+    """
+    weight, bias = LAYERS[layer]
+    own = own_parameters(network, layer, theta)
+    watched = _Watched(own[weight])
+    with torch.enable_grad():
+        pair: Any = {weight: watched, bias: own[bias]}
+        out = network(batch, goal_m, steps, pair).flatten(1)
+        each = torch.eye(out.shape[1], dtype=out.dtype)[:, None].expand(-1, *out.shape)
+        pushed = torch.autograd.grad(out, watched.pushes, each, is_grads_batched=True)
+    read = torch.stack(watched.read, 1)  # [B, K, I]
+    inputs = torch.cat((read, torch.ones_like(read[..., :1])), -1)
+    by_push = torch.cat(pushed, -1).transpose(0, 1)  # [B, D, O, K]
+    jacobian = by_push.flatten(1, 2) @ inputs
+    return out.detach(), jacobian.view(len(out), out.shape[1], -1)
+
+
 def lineariser_of(
     network: EncoderDecoderNetwork, layer: Layer, steps: int, as_program: bool
 ) -> Callable[[Tensor, VehicleBatch, Tensor], tuple[Tensor, Tensor]]:
-    """`linearise` of the first positions, from theta [B, P], batch and goals."""
+    """From theta [B, P], batch and goals: positions [B, steps x 2], their Jacobian [B, ., P]."""
     if layer != LAST:
-
-        def by_gradients(
-            theta: Tensor, batch: VehicleBatch, goal_m: Tensor
-        ) -> tuple[Tensor, Tensor]:
-            return linearise(
-                lambda theta: positions_with(network, layer, theta, batch, goal_m, steps).flatten(
-                    1
-                ),
-                theta,
-            )
-
-        return by_gradients
+        return lambda theta, batch, goal_m: linearise_layer(
+            network, layer, theta, batch, goal_m, steps
+        )
     by_pushes = last_layer_lineariser(network, steps, as_program)
     weight, bias = LAYERS[layer]
 
