@@ -40,6 +40,8 @@ def main(arguments: argparse.Namespace) -> int:
         print(entries_json(entries))
         return 0
     make_console().print(paper_table(SOTA, entries, said_clusters(logged)))
+    if arguments.adapt == "none":
+        print("the paper's HATN adapts online, ours does not here: --adapt mekf")
     print(f"numbers in {out / CSV_FILE}")
     return 0
 
