@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 NETWORKS: Final = ("hatn-paper", "hatn")
 SCENES: Final = ("intersection5", "roundabout8")
 """The shipped scenes that are like the paper's two."""
-DURATION_S: Final = 60.0
+DURATION_S: Final = 45.0
 RESULTS_FOLDER: Final = "results"
 CSV_FILE: Final = "adaptation.csv"
 
