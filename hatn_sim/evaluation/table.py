@@ -170,4 +170,6 @@ def read_rows(path: Path) -> list[AblationRow]:
 
 
 def _score(found: Mapping[str, Any]) -> Score:
-    return Score(**{field.name: found[field.name] for field in fields(Score)})
+    missing = {"lines"} - found.keys()  # of files that are older than this field
+    names = [field.name for field in fields(Score) if field.name not in missing]
+    return Score(**{name: found[name] for name in names})
