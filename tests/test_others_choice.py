@@ -43,7 +43,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def make_site(folder: Path, vehicles: int = 10) -> Path:
+def make_site(folder: Path, vehicles: int = 8) -> Path:
     write_lanelet2(folder / "map.osm", crossing_lanes())
     for k, name in enumerate(RECORDINGS):
         write_recording(folder, name, drivers(vehicles, seed=k))
@@ -52,8 +52,20 @@ def make_site(folder: Path, vehicles: int = 10) -> Path:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recordings of a crossing where turns are cut by metres, ten vehicles on each way."""
+    """Recordings of a crossing where turns are cut by metres, eight vehicles on each way."""
     return make_site(tmp_path_factory.mktemp("site"))
+
+
+@pytest.fixture(scope="module")
+def keep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("keep")
+
+
+@pytest.fixture(scope="module")
+def found(site: Path, keep: Path) -> OthersChoice:
+    """What is fitted for 000, kept in a folder."""
+    torch.set_num_threads(1)
+    return found_for(scenes(site, "000"), keep)["000"]
 
 
 def scenes(site: Path, *recordings: str) -> dict[str, Scenario]:
@@ -89,9 +101,10 @@ def samples_on(scene: Scenario, recording: str) -> ChoiceSamples:
 # -- what is fitted to --------------------------------------------------------------------------
 
 
-def test_it_is_better_on_the_recording_that_it_has_not_seen(site: Path) -> None:
+def test_it_is_better_on_the_recording_that_it_has_not_seen(
+    site: Path, found: OthersChoice
+) -> None:
     by_name = scenes(site, "000")
-    (found,) = found_for(by_name).values()
     assert found.choice is not None and found.recordings == RECORDINGS[1:]
     unseen = samples_on(by_name["000"], "000")
     before, after = (
@@ -116,31 +129,33 @@ def test_it_is_better_on_the_recording_that_it_has_not_seen(site: Path) -> None:
     assert found.before == pytest.approx(over([choice_figures(h, start) for h in halves]), abs=1e-4)
 
 
-def test_the_scored_recording_has_no_part_in_it(tmp_path: Path) -> None:
+def test_the_scored_recording_has_no_part_in_it(tmp_path: Path, found: OthersChoice) -> None:
     site = make_site(tmp_path)
-    (before,) = found_for(scenes(site, "000")).values()
     own = site / "vehicle_tracks_000.csv"
     head = own.read_text().partition("\n")[0]
     own.write_text(f"{head}\nno,numbers\n")  # what is in there is not even read
-    (after,) = found_for(scenes(site, "000")).values()
-    assert before.choice is not None and before.about() == after.about()
+    again = found_for(scenes(site, "000"))["000"]
+    assert again.choice is not None and again.about() == found.about()
     # Those of the others have a part.
-    write_recording(site, "000", drivers(10, seed=0))
-    write_recording(site, "001", drivers(11, seed=11))
-    (other,) = found_for(scenes(site, "000")).values()
-    assert other.about() != before.about()
+    other = site / "vehicle_tracks_003.csv"
+    other.write_text(f"{head}\nno,numbers\n")
+    with pytest.raises(HatnSimError, match=r"003\.csv"):
+        found_for(scenes(site, "000"))
 
 
-def test_every_recording_has_that_of_the_others_with_any_number_of_workers(site: Path) -> None:
-    by_name = scenes(site, "001", "002")
-    one, two = found_for(by_name), found_for(by_name, workers=2)
-    assert list(one) == list(two) == ["001", "002"]
-    for name, found in one.items():
-        assert set(found.recordings) == set(RECORDINGS) - {name}
-        assert found.about() == two[name].about()
+def test_every_recording_has_that_of_the_others_with_any_number_of_workers(
+    site: Path, found: OthersChoice
+) -> None:
+    both = found_for(scenes(site, "000", "002"), workers=2)
+    assert list(both) == ["000", "002"]
+    assert both["000"].about() == found.about()
+    assert both["002"].recordings == ("000", "001", "003")
+    assert both["002"].choice is not None and both["002"].about() != found.about()
 
 
-def test_one_that_is_not_better_is_not_taken(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_is_not_better_is_not_taken(
+    site: Path, found: OthersChoice, monkeypatch: pytest.MonkeyPatch
+) -> None:
     by_name = scenes(site, "000")
     by_hand = HAND_MADE_CHOICE.to_arrays()
     worse = LineChoice.from_arrays({**by_hand, "linear": -by_hand["linear"]})
@@ -151,9 +166,8 @@ def test_one_that_is_not_better_is_not_taken(site: Path, monkeypatch: pytest.Mon
     assert refused.choice is None and refused.about()["source"] == "weights"
     assert refused.fitted is not None and "000: as in the weights; 001, 002, 003" in told.lines[-1]
     # It has to be better than each of those that are used otherwise.
-    taken = found_for(by_name)["000"].choice
-    assert taken is not None
-    assert found_for(by_name, starts=[shipped_line_choice(), taken])["000"].choice is None
+    assert found.choice is not None
+    assert found_for(by_name, starts=[shipped_line_choice(), found.choice])["000"].choice is None
 
 
 def test_with_too_few_choices_nothing_is_fitted(tmp_path: Path) -> None:
@@ -168,25 +182,23 @@ def test_with_too_few_choices_nothing_is_fitted(tmp_path: Path) -> None:
 
 
 def test_what_was_fitted_is_kept(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    site: Path, keep: Path, found: OthersChoice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    by_name, keep = scenes(site, "000"), tmp_path / "keep"
-    (first,) = found_for(by_name, keep).values()
+    def from_nothing(traffic: Sequence[Traffic], *_: object) -> object:
+        if traffic:
+            raise HatnSimError("played again")
+        return iter(())
+
+    monkeypatch.setattr(others_choice, "_gather", from_nothing)
+    by_name = scenes(site, "000")
+    again = found_for(by_name, keep)["000"]
+    assert again.choice is not None and again.about() == found.about()
+    with pytest.raises(HatnSimError, match="played again"):  # it hangs on what it begins with
+        found_for(by_name, keep, starts=[HAND_MADE_CHOICE])
     (path,) = keep.iterdir()
-
-    def no_fit(*_: object) -> OthersChoice:
-        raise HatnSimError("fitted again")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(others_choice, "_fit", no_fit)
-        (again,) = found_for(by_name, keep).values()
-        assert again.about() == first.about() and again.choice is not None
-        with pytest.raises(HatnSimError, match="fitted again"):
-            found_for(by_name, keep, starts=[HAND_MADE_CHOICE])
-        path.write_text(path.read_text()[:100])
-        with pytest.raises(HatnSimError, match="fitted again"):
-            found_for(by_name, keep)
-    assert found_for(by_name, keep)["000"].about() == first.about()
+    path.write_text(path.read_text()[:100])
+    with pytest.raises(HatnSimError, match="played again"):
+        found_for(by_name, keep)
 
 
 # -- where it is used ---------------------------------------------------------------------------

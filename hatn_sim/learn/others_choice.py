@@ -38,7 +38,7 @@ MOST_S: Final = 300.0
 """What of each is looked at."""
 EVERY_FRAMES: Final = 10
 """Choices a second apart: nearer ones teach little more."""
-FEWEST_CASES: Final = 50
+FEWEST_CASES: Final = 40
 """That tell, in each half; with fewer nobody knows whether the fitted choice is better."""
 
 
