@@ -22,8 +22,14 @@ from hatn_sim.hatn.edn import (
 )
 from hatn_sim.hatn.edn_program import frozen_edn
 from hatn_sim.hatn.inputs import LINE_AT_M, to_map_frame, to_vehicle_frame
-from hatn_sim.hatn.kinematics import path_along, positions, present_motion
-from hatn_sim.learn.augment import mirror_vehicles, scale_vehicles
+from hatn_sim.hatn.kinematics import gap_ahead_m, path_along, positions, present_motion
+from hatn_sim.learn.augment import (
+    mirror_vehicles,
+    scale_vehicles,
+    shake_vehicles,
+    shift_vehicles,
+    turn_vehicles,
+)
 from hatn_sim.learn.dataset import project_on_polylines
 
 SETTINGS = (
@@ -129,6 +135,8 @@ def test_the_emitted_motion_is_bounded_whatever_the_network_says() -> None:
     model = EncoderDecoderNetwork(EdnSettings(width=8)).eval()
     torch.nn.init.normal_(model.dense3.weight, std=50.0)
     batch = random_batch(200)
+    # Straight on until now, and so is the line: what bends the way is the network alone.
+    batch.history[..., 7:9] = 0.0
     batch = replace(batch, line=batch.line * torch.tensor([1.0, 0.0]))
     with torch.no_grad():
         found = model(batch, goals(model.settings, 200))
@@ -294,6 +302,71 @@ def test_projection_on_a_bend_by_hand() -> None:
     np.testing.assert_allclose(s, [[-2.0, 4.0, 16.0, 24.0]])
     np.testing.assert_allclose(d, [[1.0, 0.5, 0.5, -1.0]])
     np.testing.assert_allclose(yaw, [[0.0, 0.0, np.pi / 2, np.pi / 2]])
+
+
+def test_who_heads_aslant_drives_the_same_way_in_the_map() -> None:
+    """Turned in its own frame by -e, a vehicle that heads by e more to the left is where it was."""
+    batch, future = on_a_circle(20.0, 6.0)
+    aslant = torch.tensor([0.15])
+    turned, then = turn_vehicles(batch, future, aslant)
+    for before, after in (
+        (future, then),
+        (batch.line, turned.line),
+        (batch.history[..., 6:8], turned.history[..., 6:8]),
+    ):
+        back = to_map_frame(after.double().numpy(), np.zeros((1, 2)), aslant.double().numpy())
+        np.testing.assert_allclose(back, before.numpy(), atol=1e-5)
+    torch.testing.assert_close(turned.history[..., 4], batch.history[..., 4] + 0.15)
+    torch.testing.assert_close(turned.history[..., 8], batch.history[..., 8])
+    # What is known of the motion does not hang on where the vehicle heads.
+    model = silent(EdnSettings(width=8))
+    with torch.no_grad():
+        torch.testing.assert_close(
+            turn_vehicles(batch, model(batch, torch.zeros(1, 6)), aslant)[1],
+            model(turned, torch.zeros(1, 6)),
+            atol=1e-3,
+            rtol=0.0,
+        )
+
+
+def test_who_keeps_beside_the_line_is_read_beside_it_alone() -> None:
+    batch, _ = on_a_circle(20.0, 6.0)
+    beside = shift_vehicles(batch, torch.tensor([0.7]))
+    changed = (beside.history != batch.history).any(0).any(0)
+    assert changed.nonzero().flatten().tolist() == [1]
+    torch.testing.assert_close(beside.history[..., 1], batch.history[..., 1] + 0.7)
+    assert beside.line is batch.line
+
+
+def test_a_heading_measured_badly_is_that_of_now_still() -> None:
+    batch = random_batch(3000)
+    shaken = shake_vehicles(batch, torch.full((3000,), 0.02))
+    error = shaken.history - batch.history
+    assert (error[..., :8] == 0).all() and (error[..., 9:] == 0).all()
+    assert (error[:, -1, 8] == 0).all()
+    assert float(error[:, :-1, 8].std()) == pytest.approx(0.02, rel=0.03)
+
+
+@pytest.mark.parametrize("speed_mps", [4.0, 9.0, 15.0])
+def test_curvature_and_its_trend_on_a_clothoid(speed_mps: float) -> None:
+    """A heading of k s + c s^2 / 2: the curvature at s is k + c s."""
+    batch, _ = on_a_circle(1e6, speed_mps)
+    s = batch.history[..., 0]
+    bend, change = 0.02, 0.003
+    batch.history[..., 8] = bend * s + change * s**2 / 2.0
+    now = present_motion(batch.history)
+    step = 0.1 * speed_mps
+    assert float(now.curvature_per_m) == pytest.approx(bend - 2.0 * step * change, abs=1e-5)
+    assert float(now.curving_per_m) == pytest.approx(2.0 * step * change, abs=1e-5)
+
+
+def test_the_line_beside_the_arc_by_hand() -> None:
+    """A vehicle that turns left at 1/20 m beside a straight line leaves it to its right."""
+    line = torch.tensor(np.stack((LINE_AT_M, 0 * LINE_AT_M), -1), dtype=torch.float32)[None]
+    path = path_along(line, torch.zeros(1), torch.tensor([0.05]), torch.tensor([50.0]))
+    at = torch.tensor([[2.0, 6.0, 10.0]])
+    expected = -20.0 * (1.0 - torch.cos(at / 20.0))
+    torch.testing.assert_close(gap_ahead_m(path, at), expected, atol=1e-3, rtol=0.0)
 
 
 def test_a_larger_place_and_a_mirrored_one_are_driven_alike() -> None:

@@ -20,7 +20,14 @@ from torch import Tensor, nn
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.hatn import edn_plain
-from hatn_sim.hatn.kinematics import Present, path_along, positions, present_motion
+from hatn_sim.hatn.kinematics import (
+    Present,
+    gap_ahead_m,
+    largest_curvature_per_m,
+    path_along,
+    positions,
+    present_motion,
+)
 from hatn_sim.hatn.travel import PROFILE_S
 
 Signal = Literal["none", "transform", "input", "output", "hidden"]
@@ -35,6 +42,11 @@ MAX_SWERVE_PER_M: Final = 0.03
 MAX_SLOPE: Final = 0.5
 START_LIMITS: Final = (0.03, 3.0, 0.1, 0.05)
 """How far the present increment (m), acceleration, course and curvature may be corrected."""
+GAP_AT_S: Final = (0.5, 1.0, 1.5, 2.0, 3.0)
+"""The network is told how far beside the present arc the line runs, after the way of these times
+and a metre more for each second."""
+GAP_M: Final = 6.0
+"""At most so far."""
 BLEND_M: Final = 4.0
 BLEND_S: Final = 1.0
 """The path is the line's after this and the way of this time, unless the network knows better."""
@@ -119,7 +131,7 @@ class EncoderDecoderNetwork(nn.Module):
         if settings.clock == "hidden":
             self.embed_clock = nn.Linear(1, width)
         if kinematic:
-            self.start = nn.Linear(width, len(START_LIMITS) + 1)
+            self.start = nn.Linear(width, len(START_LIMITS) + 2)
             nn.init.zeros_(self.start.weight)
             nn.init.zeros_(self.start.bias)
 
@@ -151,7 +163,12 @@ class EncoderDecoderNetwork(nn.Module):
         """Accelerations and curvatures, integrated."""
         history = batch.history
         now = present_motion(history)
-        hidden, memory = self._encode(_kinematic_history(history, now), goal_m, own, last_layer)
+        usual_m = BLEND_M + BLEND_S / DT_S * now.increment_m
+        arc = path_along(batch.line, now.course_rad, _curvature(now, 1.0), usual_m)
+        ahead_m = now.increment_m.unsqueeze(-1) / DT_S * history.new_tensor(GAP_AT_S)
+        gaps_m = gap_ahead_m(arc, ahead_m + history.new_tensor(GAP_AT_S))
+        read = _kinematic_history(history, now, gaps_m)
+        hidden, memory = self._encode(read, goal_m, own, last_layer)
         limits = history.new_tensor(START_LIMITS)
         correction = self.start(hidden)
         increment, acceleration, course, curvature = (
@@ -160,14 +177,14 @@ class EncoderDecoderNetwork(nn.Module):
                     now.increment_m,
                     now.acceleration_mps2,
                     now.course_rad,
-                    now.curvature_per_m,
+                    _curvature(now, 2.0 * correction[:, 5].sigmoid()),
                 ),
                 -1,
             )
             + limits * correction[:, :4].tanh()
         ).unbind(-1)
         increment = increment.clamp(min=0.0)
-        blend_m = (BLEND_M + BLEND_S / DT_S * now.increment_m) * correction[:, 4].clamp(-2, 2).exp()
+        blend_m = usual_m * correction[:, 4].clamp(-2, 2).exp()
         wanted_m = _by_step(goal_m, steps)
         progress = torch.zeros_like(increment)
         offset, slope = torch.zeros_like(increment), torch.zeros_like(increment)
@@ -340,11 +357,18 @@ def _gru(
     return new + update * (hidden - new)
 
 
-_KINEMATIC_HISTORY: Final = 13
+_KINEMATIC_HISTORY: Final = 14 + len(GAP_AT_S)
 _KINEMATIC_STATE: Final = 6
 
 
-def _kinematic_history(history: Tensor, now: Present) -> Tensor:
+def _curvature(now: Present, trend: float | Tensor) -> Tensor:
+    """How the path goes on [B], with so much of how its curvature has changed."""
+    onward = now.curvature_per_m + trend * now.curving_per_m
+    most = largest_curvature_per_m(now.increment_m)
+    return onward.clamp(-most, most)
+
+
+def _kinematic_history(history: Tensor, now: Present, gaps_m: Tensor) -> Tensor:
     """Motion along the line and in the vehicle's own frame, fine differences enlarged.
 
     [B, T, _KINEMATIC_HISTORY]; the increments of the first frame repeat those of the second.
@@ -369,6 +393,8 @@ def _kinematic_history(history: Tensor, now: Present) -> Tensor:
         (length / DT_S - speed) / 0.5,
         acceleration / 2.0,
         now.curvature_per_m.unsqueeze(-1).expand_as(s) / 0.1,
+        now.curving_per_m.unsqueeze(-1).expand_as(s) / 0.05,
+        *(gap.unsqueeze(-1).expand_as(s) for gap in (gaps_m.clamp(-GAP_M, GAP_M) / 2.0).unbind(-1)),
     )
     return torch.stack(columns, -1)
 

@@ -22,8 +22,12 @@ Y: Final = HISTORY.index("y_m in the vehicle's frame of now")
 YAW: Final = HISTORY.index("yaw_rad since now")
 SPEED: Final = HISTORY.index("speed_mps")
 MAX_CURVATURE_PER_M: Final = 0.25
+MAX_LATERAL_MPS2: Final = 15.0
+"""Nothing on wheels turns harder: what a heading says beyond is noise."""
 SLOW_M: Final = 0.05
 """Increments shorter than this in 0.1 s tell no direction."""
+SHORT_M: Final = 0.35
+"""On a way shorter than this the heading tells no curvature."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +37,8 @@ class Present:
     increment_m: Tensor  # [B] of path in the last frame
     acceleration_mps2: Tensor  # [B]
     course_rad: Tensor  # [B] direction of motion now, in the vehicle's frame
-    curvature_per_m: Tensor  # [B] of the path driven
+    curvature_per_m: Tensor  # [B] of the path driven in the last 0.4 s
+    curving_per_m: Tensor  # [B] of its second half, less that of the first
 
 
 def present_motion(history: Tensor) -> Present:
@@ -49,16 +54,26 @@ def present_motion(history: Tensor) -> Present:
     forward = torch.where(last[:, 0] < 0.0, -length, length)
     sure = torch.sigmoid((length - SLOW_M) / (0.2 * SLOW_M))
     half_back = torch.atan2(last[:, 1], last[:, 0].clamp(min=1e-3)) * sure
-    driven = step[:, -3:].norm(dim=-1).sum(-1)
-    curvature = (yaw[:, -1] - yaw[:, -4]) / driven.clamp(min=0.5)
-    curvature = curvature.clamp(-MAX_CURVATURE_PER_M, MAX_CURVATURE_PER_M)
+    driven = step.norm(dim=-1)
+    late = (yaw[:, -1] - yaw[:, -3]) / driven[:, -2:].sum(-1).clamp(min=SHORT_M)
+    early = (yaw[:, -3] - yaw[:, -5]) / driven[:, -4:-2].sum(-1).clamp(min=SHORT_M)
+    most = largest_curvature_per_m(length)
+    late, early = late.clamp(-most, most), early.clamp(-most, most)
+    curvature = 0.5 * (late + early)
     speed = history[..., SPEED]
     return Present(
         increment_m=forward.clamp(min=0.0),
         acceleration_mps2=(speed[:, -1] - speed[:, -3]) / (2.0 * DT_S),
-        course_rad=half_back + 0.5 * curvature * forward,
+        course_rad=half_back + 0.5 * late * forward,
         curvature_per_m=curvature,
+        curving_per_m=late - early,
     )
+
+
+def largest_curvature_per_m(increment_m: Tensor) -> Tensor:
+    """Of the path of vehicles [B] that drive `increment_m` in a frame."""
+    square = (increment_m / DT_S).square().clamp(min=1e-3)
+    return (MAX_LATERAL_MPS2 / square).clamp(max=MAX_CURVATURE_PER_M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,20 +113,34 @@ def _arc(course_rad: Tensor, curvature_per_m: Tensor, turning_m: Tensor, at_m: T
     )
 
 
-def positions(path: Path, progress_m: Tensor, offset_m: Tensor) -> Tensor:
-    """Where vehicles are [B, F, 2] after `progress_m` [B, F] and `offset_m` [B, F] to the left."""
+def gap_ahead_m(path: Path, at_m: Tensor) -> Tensor:
+    """How far to the left of the arc the parallel runs [B, Q] after `at_m` [B, Q]."""
+    pair, part = _between(path, at_m)
+    gap = _blend(path.gap_m, pair, part)
+    return (gap * _blend(path.normal, pair, part.clamp(0.0, 1.0))).sum(-1)
+
+
+def _between(path: Path, at_m: Tensor) -> tuple[Tensor, Tensor]:
+    """The vertex [B, Q, 2] before, and the part [B, Q, 1] of the way to the next one."""
     last = path.at_m.shape[1] - 2
-    below = torch.searchsorted(path.at_m, progress_m.detach().contiguous(), right=True) - 1
+    below = torch.searchsorted(path.at_m, at_m.detach().contiguous(), right=True) - 1
     below = below.clamp(0, last)
     low_m = path.at_m.gather(1, below)
-    part = (progress_m - low_m) / (path.at_m.gather(1, below + 1) - low_m)
+    part = (at_m - low_m) / (path.at_m.gather(1, below + 1) - low_m)
+    return below.unsqueeze(-1).expand(-1, -1, 2), part.unsqueeze(-1)
+
+
+def _blend(values: Tensor, pair: Tensor, part: Tensor) -> Tensor:
+    low, high = values.gather(1, pair), values.gather(1, pair + 1)
+    return low + part * (high - low)
+
+
+def positions(path: Path, progress_m: Tensor, offset_m: Tensor) -> Tensor:
+    """Where vehicles are [B, F, 2] after `progress_m` [B, F] and `offset_m` [B, F] to the left."""
+    pair, part = _between(path, progress_m)
     # Farther than the line was sampled: straight on.
-    part = part.unsqueeze(-1)
-    pair = below.unsqueeze(-1).expand(-1, -1, 2)
-    gap_low, gap_high = path.gap_m.gather(1, pair), path.gap_m.gather(1, pair + 1)
-    gap = gap_low + part * (gap_high - gap_low)
-    n_low, n_high = path.normal.gather(1, pair), path.normal.gather(1, pair + 1)
-    normal = n_low + part.clamp(0.0, 1.0) * (n_high - n_low)
+    gap = _blend(path.gap_m, pair, part)
+    normal = _blend(path.normal, pair, part.clamp(0.0, 1.0))
     u = (progress_m / path.blend_m.unsqueeze(-1)).clamp(0.0, 1.0)
     weight = u * u * u * (u * (6.0 * u - 15.0) + 10.0)
     arc = _arc(path.course_rad, path.curvature_per_m, path.blend_m, progress_m)

@@ -32,7 +32,7 @@ from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.line_choice import LineChoice
 from hatn_sim.line_features import FEATURES
 
-FORMAT: Final = 3
+FORMAT: Final = 4
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "width": (1, 4096),
     "components": (1, 64),
@@ -94,8 +94,12 @@ def features() -> dict[str, Any]:
             *edn_module.START_LIMITS,
             edn_module.BLEND_M,
             edn_module.BLEND_S,
+            *edn_module.GAP_AT_S,
+            edn_module.GAP_M,
             kinematics.MAX_CURVATURE_PER_M,
+            kinematics.MAX_LATERAL_MPS2,
             kinematics.SLOW_M,
+            kinematics.SHORT_M,
         ],
         "frames": [HISTORY_FRAMES, HORIZON_FRAMES],
         "dt_s": DT_S,

@@ -61,6 +61,10 @@ _HISTORY_SIDES: Final = tuple(
     for index, name in enumerate(HISTORY)
     if name.startswith(("d_m", "speed_mps across", "phi", "y_m", "yaw"))
 )
+_HEADING: Final = HISTORY.index("phi_rad")
+_YAW: Final = HISTORY.index("yaw_rad since now")
+_OFFSET: Final = HISTORY.index("d_m")
+_PLACE: Final = tuple(index for index, name in enumerate(HISTORY) if name.startswith(("x_", "y_m")))
 _LATERAL: Final = _entry("lateral_m")
 _CURVATURE: Final = slice(_POINTS, 2 * _POINTS)
 
@@ -147,3 +151,36 @@ def mirror_vehicles(
     history[..., _HISTORY_SIDES] = history[..., _HISTORY_SIDES] * sign[:, None, None]
     flip = torch.stack((torch.ones_like(sign), sign), -1)[:, None]
     return replace(batch, history=history, line=batch.line * flip), future_xy * flip
+
+
+def turn_vehicles(
+    batch: VehicleBatch, future_xy: Tensor, turn_rad: Tensor
+) -> tuple[VehicleBatch, Tensor]:
+    """Vehicles [B] that head by `turn_rad` [B] to the left of where they did, and drive alike."""
+    history = batch.history.clone()
+    history[..., _HEADING] = history[..., _HEADING] + turn_rad[:, None]
+    history[..., _PLACE] = _turned(history[..., _PLACE], -turn_rad)
+    line = _turned(batch.line, -turn_rad)
+    return replace(batch, history=history, line=line), _turned(future_xy, -turn_rad)
+
+
+def _turned(xy: Tensor, by_rad: Tensor) -> Tensor:
+    cos, sin = by_rad.cos()[:, None], by_rad.sin()[:, None]
+    x, y = xy.unbind(-1)
+    return torch.stack((x * cos - y * sin, x * sin + y * cos), -1)
+
+
+def shift_vehicles(batch: VehicleBatch, left_m: Tensor) -> VehicleBatch:
+    """Vehicles [B] that drive alike beside a line that lies `left_m` [B] farther to the right."""
+    history = batch.history.clone()
+    history[..., _OFFSET] = history[..., _OFFSET] + left_m[:, None]
+    return replace(batch, history=history)
+
+
+def shake_vehicles(batch: VehicleBatch, std_rad: Tensor) -> VehicleBatch:
+    """Vehicles [B] whose headings were measured with errors of `std_rad` [B] until now."""
+    history = batch.history.clone()
+    error = std_rad[:, None] * torch.randn(history.shape[:2])
+    error[:, -1] = 0.0  # headings count from that of now
+    history[..., _YAW] = history[..., _YAW] + error
+    return replace(batch, history=history)

@@ -46,6 +46,7 @@ NO_PART_IN_SAMPLES: Final = (
     "evaluation",
     "cli",
     "hatn/edn",
+    "hatn/kinematics",
     "hatn/sgn",
     "hatn/predictor",
     "hatn/weights/hatn",

@@ -35,7 +35,10 @@ class TrainingSettings:
 
 
 FORMS: Final[Mapping[str, TrainingSettings]] = {
-    "hatn": TrainingSettings(),
+    "hatn": TrainingSettings(
+        sgn_fit=FitSettings(batch=128, learning_rate=4e-3),
+        edn_fit=FitSettings(learning_rate=4e-3),
+    ),
     "paper": TrainingSettings(paper_sgn(), PAPER),
 }
 """`hatn` is the best that we know, `paper` has the paper's networks."""
