@@ -293,6 +293,7 @@ class Score:
     low: float | None
     high: float | None
     std: float | None = None  # over samples, of measures that are means
+    lines: str = ""  # of recordings: what reference lines follow, and what chose among them
 
 
 # ---------------------------------------------------------------------------------------------

@@ -55,12 +55,19 @@ class PerceptionState:
     seen: Perception
 
 
+def choose_lines_by(road: Road, choice: LineChoice) -> None:
+    """From the next `begin` on, all predictors choose lines on this road by `choice`."""
+    road.shared["choice"] = choice
+
+
 def begin(road: Road, choice: LineChoice | None = None) -> PerceptionState:
     """Nothing seen yet; lines will be chosen by `choice`, None: the one that ships.
 
-    The same object for the same road and choice, so that predictors share their work.
+    A choice that the road was given by `choose_lines_by` comes before it. The same object for the
+    same road and choice, so that predictors share their work.
     """
-    choice = choice or shipped_line_choice()
+    of_road: LineChoice | None = road.shared.get("choice")
+    choice = of_road or choice or shipped_line_choice()
     known: dict[LineChoice, PerceptionState] = road.shared.setdefault("begin", {})
     if choice not in known:
         nothing = np.zeros(0)

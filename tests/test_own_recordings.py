@@ -79,7 +79,8 @@ def log(out: str, recording: str) -> Run:
 def test_every_recording_is_judged_on_lines_of_others(
     site: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert evaluate(site, "--out", "out", "--json") == 0
+    plain = ("--out", "out", "--choice-from", "weights")
+    assert evaluate(site, *plain, "--json") == 0
     printed = capsys.readouterr()
     assert "drawn from 75 vehicles of 5 other recordings" in printed.err
     scores = json.loads(printed.out)
@@ -91,9 +92,9 @@ def test_every_recording_is_judged_on_lines_of_others(
         group = {f"{j:03d}" for j in range(k % 5, RECORDINGS, 5)}
         assert about["source"] == "tracks" and set(about["recordings"]) == every - group
         assert about["vehicles"] == 15 * len(every - group)
-    assert evaluate(site, "--out", "out") == 0
+    assert evaluate(site, *plain) == 0
     assert "7 of 7 runs are in" in capsys.readouterr().err
-    assert evaluate(site, "--out", "out", "--lines-from", "lanes", "--quiet") == 2
+    assert evaluate(site, *plain, "--lines-from", "lanes", "--quiet") == 2
     assert "was made otherwise: expected settings." in capsys.readouterr().err
 
 

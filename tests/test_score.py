@@ -701,7 +701,7 @@ def test_scores_as_json(tmp_path: Path) -> None:
     scores = score_run(run)
     listed = json.loads(scores_json(scores))
     keys = ["measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high"]
-    keys.append("std")
+    keys += ["std", "lines"]
     assert all(list(entry) == keys for entry in listed)
     entry = next(e for e in listed if (e["measure"], e["subset"]) == ("ade_3s", "all"))
     assert entry["value"] == pytest.approx(1.0) and entry["n"] == 2 and entry["adapt"] == "none"

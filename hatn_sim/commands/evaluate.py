@@ -3,7 +3,11 @@
 Every seed of a scene, and every recording, is a run of its own; all cores work on them. They are
 logged in OUT/runs and used again by the same command with the same --out. The reference lines of a
 recording are drawn from the tracks of other recordings of --tracks, never from its own; where there
-are too few, they are the map's lanes. With --table, something else is put into a table:
+are too few, they are the map's lanes. What chooses among them is fitted to the same recordings, if
+that is better on those held out, and used by all predictors; the table says so. What the weights
+alone can do at a new place, --choice-from weights shows.
+
+With --table, something else is put into a table:
 
 `sgn`, `edn`, `intention`, `summary`: the paper's ablations. Every network of the table is trained
 on some 20,000 samples of the first scene and judged on all of them, its numbers beside the paper's;
@@ -32,6 +36,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.options import (
+    add_choice_from,
     add_lines,
     add_lines_from,
     add_networks,
@@ -82,6 +87,7 @@ PREDICTED: Final = {
     "adapt": "none",
     "lines": "inferred",
     "lines_from": "auto",
+    "choice_from": "auto",
     "density": None,
     "risk": None,
     "workers": None,
@@ -148,6 +154,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_traffic(parser)
     add_tracks(parser, "as a further scene")
     add_lines_from(parser, "auto")
+    add_choice_from(parser, "auto")
     parser.add_argument(
         "--rows",
         type=Path,
@@ -204,7 +211,7 @@ def main(arguments: argparse.Namespace) -> int:
     table: str | None = arguments.table
     _check_used(arguments)
     if arguments.tracks is None:
-        for option in ("map", "recordings", "lines_from"):
+        for option in ("map", "recordings", "lines_from", "choice_from"):
             value = getattr(arguments, option)
             if value != {**TRAFFIC, **PREDICTED}[option]:
                 name = option.replace("_", "-")

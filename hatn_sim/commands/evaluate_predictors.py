@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from hatn_sim.config import RecordedSource, Scenario
     from hatn_sim.datatypes import Predictor
     from hatn_sim.evaluation.runs import RunPlan
+    from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import Run
 
 RUNS_FOLDER: Final = "runs"
+CHOICES_FOLDER: Final = "choices"
 STEPS_FILE: Final = "steps.csv"
 FIGURES: Final = ("steps.png", "steps.pdf")
 
@@ -72,7 +74,7 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[Run]:
     wanted = [plan for plan, made in zip(plans, there, strict=True) if not made]
     stays = f"finished runs stay in {out}, and the same command with --out {out} uses them"
     try:
-        _make(wanted, arguments.workers or _cores(), arguments.quiet)
+        _make(wanted, arguments.workers or cores(), arguments.quiet)
     except HatnSimError as error:
         raise type(error)(f"{error}; {stays}" if out.exists() else str(error)) from None
     except KeyboardInterrupt:
@@ -134,9 +136,11 @@ def _plans(
                 label = f"{scenario.name}, seed {seed}"
                 yield _plan(arguments, predictors, scenario, seed, label, out)
         else:
-            for name, one in _recordings(arguments, scenario, scenario.recorded).items():
+            scenes = _recordings(arguments, scenario, scenario.recorded)
+            choices = _choices(arguments, predictors, scenario, scenes, out)
+            for name, one in scenes.items():
                 label = f"{scenario.name}, {name}"
-                yield _plan(arguments, predictors, one, None, label, out)
+                yield _plan(arguments, predictors, one, None, label, out, choices.get(name))
 
 
 def _recordings(
@@ -148,8 +152,29 @@ def _recordings(
 
     if arguments.lines == "route" and source.map_path is not None:
         raise InputError("--lines route: recorded tracks know no routes; leave it out")
-    is_of_tracks = scenario.config_path == source.tracks[0]
-    return each_recording(scenario, arguments.lines_from if is_of_tracks else "lanes")
+    lines_from = arguments.lines_from if _is_of_tracks(scenario) else "lanes"
+    return each_recording(scenario, lines_from)
+
+
+def _choices(
+    arguments: argparse.Namespace,
+    predictors: Sequence[Predictor],
+    scenario: Scenario,
+    scenes: Mapping[str, Scenario],
+    out: Path,
+) -> Mapping[str, OthersChoice]:
+    """What was fitted for recordings of --tracks to choose lines by, kept in OUT."""
+    from hatn_sim.commands.line_choices import choices_for
+
+    choice_from = arguments.choice_from if _is_of_tracks(scenario) else "weights"
+    workers, keep = arguments.workers or cores(), out / CHOICES_FOLDER
+    return choices_for(scenes, predictors, choice_from, keep, workers, arguments.quiet)
+
+
+def _is_of_tracks(scenario: Scenario) -> bool:
+    """Whether it is that of --tracks; the recordings of a scene have a file of their own."""
+    source = scenario.recorded
+    return source is not None and scenario.config_path == source.tracks[0]
 
 
 def _plan(
@@ -159,7 +184,9 @@ def _plan(
     seed: int | None,
     label: str,
     out: Path,
+    found: OthersChoice | None = None,
 ) -> RunPlan:
+    from hatn_sim.commands.line_choices import choice_header
     from hatn_sim.commands.options import default_warm_up_s
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.evaluation.runs import RunPlan
@@ -169,8 +196,9 @@ def _plan(
     if duration_s is None and seed is not None:
         duration_s = DURATION_S
     warm_up_s = default_warm_up_s(scenario) if arguments.warm_up is None else arguments.warm_up
-    run = _as_run(arguments, scenario, seed, duration_s, warm_up_s)
-    header = make_header(run, scenario, predictors)
+    choice_from = "weights" if found is None else "tracks"
+    run = _as_run(arguments, scenario, seed, duration_s, warm_up_s, choice_from)
+    header = make_header(run, scenario, predictors, choice_header(found))
     return RunPlan(
         label=label,
         out=out / RUNS_FOLDER / re.sub(r"[^\w.-]+", "-", label),
@@ -183,6 +211,7 @@ def _plan(
         adapt=arguments.adapt,
         lines=arguments.lines,
         header={**header, "predicted_every_frames": SAMPLE_EVERY_FRAMES},
+        choice=None if found is None else found.choice,
     )
 
 
@@ -192,6 +221,7 @@ def _as_run(
     seed: int | None,
     duration_s: float | None,
     warm_up_s: float,
+    choice_from: str,
 ) -> Namespace:
     """The arguments of the `hatn-sim run` that makes the same scores."""
     from hatn_sim.commands.options import SIMULATORS_OWN
@@ -215,6 +245,7 @@ def _as_run(
         react_from=None,
         drive=None,
         lines_from=arguments.lines_from if source is not None and source.drawn else "lanes",
+        choice_from=choice_from,
         agent=SIMULATORS_OWN,
     )
 
@@ -251,6 +282,6 @@ def free_or_own_folder(out: Path | None, name: str) -> Path:
     return out
 
 
-def _cores() -> int:
+def cores() -> int:
     """Those that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

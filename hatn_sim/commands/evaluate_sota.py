@@ -24,7 +24,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.evaluation.table import compare, entries_json, write_csv
     from hatn_sim.predictors.find import PREDICTORS, READS_WEIGHTS
     from hatn_sim.report.paper_table import paper_table
-    from hatn_sim.report.table import write_scores
+    from hatn_sim.report.table import lines_notes, write_scores
     from hatn_sim.score.prediction import score_runs
 
     if arguments.tracks is None:
@@ -39,7 +39,10 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(entries_json(entries))
         return 0
-    make_console().print(paper_table(SOTA, entries, said_clusters(logged)))
+    console = make_console()
+    console.print(paper_table(SOTA, entries, said_clusters(logged)))
+    for line in lines_notes(scores):
+        console.print(line, markup=False, style="dim")
     if arguments.adapt == "none":
         print("the paper's HATN adapts online, ours does not here: --adapt mekf")
     print(f"numbers in {out / CSV_FILE}")

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
 LINES_FROM: Final = ("lanes", "tracks", "auto")
+CHOICE_FROM: Final = ("weights", "tracks", "auto")
 ADAPTATIONS: Final = ("none", "mekf", "rls", "sgd")
 """What --adapt may be."""
 SIMULATORS_OWN: Final = "sumo_driver"
@@ -100,6 +101,18 @@ def add_lines_from(parser: argparse.ArgumentParser, default: str) -> None:
         help="reference lines of INTERACTION tracks along the lanes of the map, or along those "
         "drawn from the tracks of the other recordings of --tracks; auto: from tracks where there "
         f"are enough (default: {default})",
+    )
+
+
+def add_choice_from(parser: argparse.ArgumentParser, default: str) -> None:
+    """`--choice-from`."""
+    parser.add_argument(
+        "--choice-from",
+        choices=CHOICE_FROM,
+        default=default,
+        help="what chooses among the lines drawn from tracks, for all predictors: what each has in "
+        "its weights, or that fitted to the tracks of the same other recordings, where it does "
+        f"better on those held out; auto: fitted where there are three (default: {default})",
     )
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from hatn_sim.commands.options import (
     SIMULATORS_OWN,
+    add_choice_from,
     add_driving,
     add_lines,
     add_lines_from,
@@ -38,7 +39,9 @@ from hatn_sim.commands.options import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
+    from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import Run, RunWriter
     from hatn_sim.loop import Driver
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
@@ -88,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_lines(parser)
     add_lines_from(parser, "lanes")
+    add_choice_from(parser, "weights")
     parser.add_argument(
         "--egos",
         type=names,
@@ -110,11 +114,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
     from hatn_sim.commands.chosen_predictors import load_predictors
+    from hatn_sim.commands.line_choices import choice_header
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
     from hatn_sim.log.choice_file import write_run_choice
     from hatn_sim.log.road_file import ROAD_FILE, write_road
+    from hatn_sim.perception import choose_lines_by
     from hatn_sim.traffic import ids_by, open_traffic
 
     started = time.monotonic()
@@ -133,11 +139,14 @@ def main(arguments: argparse.Namespace) -> int:
         wanted, arguments.weights, arguments.adapt, arguments.quiet, advised
     )
     drivers = _load_drivers(arguments)
-    header = make_header(arguments, scenario, predictors)
+    fitted = _fitted_choice(arguments, scenario, predictors)
+    header = make_header(arguments, scenario, predictors, choice_header(fitted))
     where = ""
     try:
         with closing(open_traffic(scenario)) as simulator:
             first = simulator.reset(arguments.seed or 0)
+            if fitted is not None and fitted.choice is not None:
+                choose_lines_by(simulator.road, fitted.choice)
             header["settings"]["ids_by"] = ids_by(simulator)
             if not arguments.quiet:
                 for notice in simulator.notices:
@@ -162,6 +171,18 @@ def _check_out(out: Path) -> None:
 
     if out.exists():
         raise InputError(f"{out}: exists already; expected a new folder: choose another --out")
+
+
+def _fitted_choice(
+    arguments: argparse.Namespace, scenario: Scenario, predictors: Sequence[Predictor]
+) -> OthersChoice | None:
+    """The choice of lines of --choice-from; None: each predictor has its own."""
+    from hatn_sim.commands.evaluate_predictors import cores
+    from hatn_sim.commands.line_choices import choices_for
+
+    scenes, asked = {scenario.name: scenario}, arguments.choice_from
+    found = choices_for(scenes, predictors, asked, None, cores(), arguments.quiet)
+    return found.get(scenario.name)
 
 
 def _load_drivers(arguments: argparse.Namespace) -> dict[str, Driver]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hatn_sim.commands.options import scene_words
@@ -15,9 +15,15 @@ if TYPE_CHECKING:
 
 
 def make_header(
-    arguments: argparse.Namespace, scenario: Scenario, predictors: Sequence[Predictor]
+    arguments: argparse.Namespace,
+    scenario: Scenario,
+    predictors: Sequence[Predictor],
+    choice_from: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What `run.json` says of how the run was made, without paths of this machine's folders."""
+    """What `run.json` says of how the run was made, without paths of this machine's folders.
+
+    `choice_from`: what chose among the lines of recorded tracks; None: what the weights carry.
+    """
     from hatn_sim.commands.versions import installed
 
     hashes = {
@@ -30,7 +36,7 @@ def make_header(
         "seed": arguments.seed,
         "adapt": arguments.adapt,
         "settings": {
-            **_recorded_settings(scenario),
+            **_recorded_settings(scenario, choice_from or {"source": "weights"}),
             "duration_s": arguments.duration,
             "warm_up_s": arguments.warm_up,
             "predictor": predictors[0].name,
@@ -57,7 +63,7 @@ def trained_on(predictor: Predictor) -> list[str]:
     return sorted({str(entry.get("scene") or entry.get("site")) for entry in used})
 
 
-def _recorded_settings(scenario: Scenario) -> dict[str, Any]:
+def _recorded_settings(scenario: Scenario, choice_from: Mapping[str, Any]) -> dict[str, Any]:
     if scenario.recorded is None:
         return {}
     source = scenario.recorded
@@ -68,6 +74,7 @@ def _recorded_settings(scenario: Scenario) -> dict[str, Any]:
         "net": None if source.replay is None else source.replay.net_path.name,
         "react_from_s": None if source.replay is None else source.replay.react_from_s,
         "lines_from": lines_from(source),
+        "choice_from": dict(choice_from),
     }
 
 
@@ -107,6 +114,8 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
         words += ["--drive", arguments.drive, "--agent", arguments.agent]
     if arguments.lines_from != "lanes":
         words += ["--lines-from", arguments.lines_from]
+    if arguments.choice_from != "weights":
+        words += ["--choice-from", arguments.choice_from]
     if scenario.density is not None:
         words += ["--density", scenario.density]
     if scenario.risk is not None:

@@ -17,11 +17,13 @@ from hatn_sim.datatypes import DT_S, Advice, Frame, Predictor
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+from hatn_sim.line_choice import LineChoice
 from hatn_sim.log import RunWriter, read_run
 from hatn_sim.log.choice_file import write_run_choice
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.log.schema import RUN_FILE
 from hatn_sim.loop import Adviser, LineSource, run, warm_up
+from hatn_sim.perception import choose_lines_by
 from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
 from hatn_sim.simulators.sumo_config import named_files
 from hatn_sim.traffic import ids_by, open_traffic
@@ -47,6 +49,7 @@ class RunPlan:
     adapt: str
     lines: LineSource
     header: Mapping[str, Any]  # of its run.json
+    choice: LineChoice | None = None  # of lines, for all predictors; None: each has its own
 
     @property
     def frames(self) -> int | None:
@@ -136,6 +139,8 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
     with closing(open_traffic(plan.scenario)) as simulator:
         first = simulator.reset(plan.seed or 0)
         first = warm_up(simulator, first, round(plan.warm_up_s / simulator.dt_s))
+        if plan.choice is not None:
+            choose_lines_by(simulator.road, plan.choice)
         settings = {**plan.header["settings"], FOUND_OUT: ids_by(simulator)}
         total = plan.frames
         with RunWriter(plan.out, {**plan.header, "settings": settings}) as writer:

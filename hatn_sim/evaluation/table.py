@@ -183,4 +183,6 @@ def _is_number_with_interval(score: Score) -> bool:
 
 
 def _score(found: Mapping[str, Any]) -> Score:
-    return Score(**{field.name: found[field.name] for field in fields(Score)})
+    missing = {"lines"} - found.keys()  # of files that are older than this field
+    names = [field.name for field in fields(Score) if field.name not in missing]
+    return Score(**{name: found[name] for name in names})

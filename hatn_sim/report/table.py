@@ -86,8 +86,14 @@ def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Gr
         note += f"; x ratio to {BASELINE.replace('_', ' ')}"
     if any(score.predictor.endswith("+route") for score in scores):
         note += "; +route: given the simulator's routes, an upper bound"
-    parts.append(Text(note, style="dim"))
+    parts += [Text(line, style="dim") for line in (*lines_notes(scores), note)]
     return Group(*parts)
+
+
+def lines_notes(scores: Sequence[Score]) -> list[str]:
+    """A line for each scene of recorded tracks: what lines follow, and what chose among them."""
+    told = {score.scene: score.lines for score in scores if score.lines}
+    return [f"{scene}: {lines}" for scene, lines in told.items()]
 
 
 def _error_table(scene: str, subset: str, scores: Sequence[Score]) -> Table:

@@ -31,7 +31,7 @@ their scores are upper bounds (see `reported_name`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,7 @@ from hatn_sim.errors import InputError
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES, slot_label
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.score import intervals
+from hatn_sim.score.line_origin import said_lines
 from hatn_sim.score.pooling import by_scene, check_pool
 from hatn_sim.score.samples import (
     ScoredSamples,
@@ -131,15 +132,15 @@ def score_runs(runs: Sequence[Run]) -> list[Score]:
         check_pool(of_scene)
         measured = [_measure_run(run) for run in of_scene]
         of_vehicles = [clusters(run, clustered) for run in of_scene]
+        lines = said_lines([run.header for run in of_scene])
         for predictor in of_scene[0].predictors:
             name = reported_name(of_scene[0], predictor)
             adapt = measured[0][predictor].adapt
             for measure, subset in ROWS:
                 parts = [each[predictor].measures.get((measure, subset)) for each in measured]
                 pooled = _pooled(parts, of_vehicles)
-                scores.append(
-                    Score(measure, name, scene, subset, adapt, unit=UNITS[measure], **pooled)
-                )
+                told = Score(measure, name, scene, subset, adapt, unit=UNITS[measure], **pooled)
+                scores.append(replace(told, lines=lines))
     return scores
 
 
