@@ -229,7 +229,7 @@ def test_a_save_that_fails_leaves_what_was_there(
 
 @pytest.mark.parametrize("name", ["hatn", "hatn-paper"])
 def test_the_weights_that_ship_are_for_this_version(name: str) -> None:
-    """Their card names the split that ships beside them; two scenes of it are not of `learn_...`."""
+    """Their card names the split that ships beside them; but for two scenes all is `learn_...`."""
     weights = load_weights(weights_dir() / f"{name}.safetensors")
     assert weights.card["command"].startswith("hatn-sim train ")
     split = read_split(weights_dir() / f"{name}.split.toml")
