@@ -39,10 +39,16 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(entries_json(entries))
         return 0
+<<<<<<< HEAD
     console = make_console()
     console.print(paper_table(SOTA, entries, said_clusters(logged)))
     for line in lines_notes(scores):
         console.print(line, markup=False, style="dim")
+=======
+    make_console().print(paper_table(SOTA, entries, said_clusters(logged)))
+    if arguments.adapt == "none":
+        print("the paper's HATN adapts online, ours does not here: --adapt mekf")
+>>>>>>> 9f7e1e96adff177caedc5d41a3acafe79aa5aa02
     print(f"numbers in {out / CSV_FILE}")
     return 0
 

@@ -118,6 +118,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
+    from hatn_sim.log.choice_file import write_run_choice
     from hatn_sim.log.road_file import ROAD_FILE, write_road
     from hatn_sim.perception import choose_lines_by
     from hatn_sim.traffic import ids_by, open_traffic
@@ -153,6 +154,7 @@ def main(arguments: argparse.Namespace) -> int:
             with RunWriter(out, header) as writer:
                 where = f"; the log up to here is in {out}"
                 write_road(out / ROAD_FILE, simulator.road.lanes.values())
+                write_run_choice(out, predictors[0])
                 done = _simulate(arguments, simulator, first, predictors, drivers, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})
