@@ -120,8 +120,9 @@ def test_it_is_better_on_the_recording_that_it_has_not_seen(
 
     def over(figures: Sequence[ChoiceFigures]) -> tuple[int, float, float]:
         counts = [one.n for one in figures]
-        wrong, loss = ([getattr(one, name) for one in figures] for name in ("wrong", "log_loss"))
-        return (sum(counts), *(float(np.average(one, weights=counts)) for one in (wrong, loss)))
+        wrong = np.average([one.wrong for one in figures], weights=counts)
+        log_loss = np.average([one.log_loss for one in figures], weights=counts)
+        return sum(counts), float(wrong), float(log_loss)
 
     start = shipped_line_choice()
     crossed = [choice_figures(halves[k], fit_line_choice(halves[1 - k], start)) for k in range(2)]
