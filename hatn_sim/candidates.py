@@ -19,7 +19,8 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Route, Scene, Tracks
 from hatn_sim.geometry import wrap_angle
 from hatn_sim.habits import Habits, share_nats
-from hatn_sim.road import AHEAD_M, LINE_STEP_M, NEAR_M, NEAR_RAD, Road
+from hatn_sim.lane_graph import AHEAD_M, NEAR_M, NEAR_RAD
+from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.tracks import rows_before
 
 MAX_CANDIDATES: Final = 24
@@ -199,8 +200,8 @@ def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Ha
     for i in np.flatnonzero(astray | short).tolist():
         kind = Kind(int(scene.kind[i]))
         if astray[i]:
-            near = road.lanes_near(scene.xy_m[i], float(scene.yaw_rad[i]), kind)
-            prefixes = [road.prefix_to(name, kind) for name in near]
+            near = road.lane_graph.near(scene.xy_m[i], float(scene.yaw_rad[i]), kind)
+            prefixes = [road.lane_graph.prefix_to(name, kind) for name in near]
         else:
             s_now = float(state.s_m[i, best[i]]) - 0.5 * float(scene.size_m[i, 0])
             lane = road.lane_number(int(own[i]), s_now)

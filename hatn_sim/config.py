@@ -262,6 +262,25 @@ def recording_names(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+def seed_numbers(text: str, where: str = "") -> tuple[int, ...]:
+    """Seeds as `7`, `1-12` or `1-4,9`, each once.
+
+    Raises InputError, which begins with `where`, as "--seeds: ".
+    """
+    found: list[int] = []
+    for part in (part.strip() for part in text.split(",")):
+        first, dash, last = part.partition("-")
+        if not (first.isdecimal() and (last.isdecimal() or not dash)):
+            raise InputError(f"{where}expected seeds like 7, 1-12 or 1-4,9, found {text!r}")
+        start, stop = int(first), int(last or first)
+        if stop < start:
+            raise InputError(f"{where}expected seeds in rising order, found {part!r}")
+        if stop - start >= MOST_NAMED:
+            raise InputError(f"{where}expected at most {MOST_NAMED:,} seeds, found {part!r}")
+        found += range(start, stop + 1)
+    return tuple(dict.fromkeys(found))
+
+
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text("utf-8"))

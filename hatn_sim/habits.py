@@ -62,7 +62,7 @@ def _last_choice(road: Road, lane_id: str) -> str:
     """
     seen = {lane_id}
     while not road.lanes[lane_id].is_connection:
-        before = road.predecessors[lane_id]
+        before = road.lane_graph.predecessors[lane_id]
         if len(before) != 1 or before[0] in seen or road.lanes[before[0]].is_connection:
             break
         lane_id = before[0]

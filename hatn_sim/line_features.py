@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.candidates import LineState
-from hatn_sim.datatypes import FloatArray, IntArray, Scene, Tracks
+from hatn_sim.datatypes import DT_S, FloatArray, IntArray, Scene, Tracks
 from hatn_sim.geometry import interpolate, wrap_angle
 from hatn_sim.habits import Habits, share_nats, silent_nats
 from hatn_sim.road import LINE_STEP_M, Road
@@ -253,7 +253,7 @@ def line_features(
 
 def _of_vehicles(evidence: Evidence, state: LineState, tracks: Tracks, scene: Scene) -> FloatArray:
     """Speed, curvature of the way driven, slowing, spread, signalling [N, 5] of the vehicles."""
-    span_s = 0.1 * (RECENT_FRAMES - 1)
+    span_s = DT_S * (RECENT_FRAMES - 1)
     slowing_mps2 = (tracks.speed_mps[:, -RECENT_FRAMES] - tracks.speed_mps[:, -1]) / span_s
     spread = np.log(np.clip(state.spread_m, SHARP_M, 3.0) / BLUNT_M) / 3.0
     return np.stack(

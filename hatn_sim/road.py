@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -31,19 +30,12 @@ from hatn_sim.geometry import (
     tangent_rad,
     window,
 )
-from hatn_sim.lane_index import LaneIndex
+from hatn_sim.lane_graph import AHEAD_M, BEHIND_M, LaneGraph, length_m
 
 LINE_STEP_M: Final = 0.5
-AHEAD_M: Final = 150.0
-"""How far candidate lines are drawn out beyond the lane they start from."""
-BEHIND_M: Final = 60.0
-"""How much of a line is kept behind a vehicle: more than three seconds of history."""
 SPARE_M: Final = 100.0
 """Lines are cut where more than this is to spare; uncut they serve vehicles on all their lanes."""
-MAX_BRANCHES: Final = 16
 MAX_FORKS: Final = 24
-NEAR_M: Final = 3.5
-NEAR_RAD: Final = np.deg2rad(60.0)
 NEAR_JUNCTION_M: Final = 10.0
 """Lines that cross have a junction at most this far away, both of them."""
 COARSE: Final = 8
@@ -72,7 +64,7 @@ class Road:
     """
 
     def __init__(self, lanes: Iterable[Lane]) -> None:
-        self.lanes: dict[str, Lane] = {lane.id: lane for lane in lanes}
+        self.lane_graph = LaneGraph(lanes)
         self.lines: list[ReferenceLine] = []
         self._line_of: dict[tuple[Route, int], int] = {}
         self._branches: dict[tuple[Route, Kind], tuple[int, ...]] = {}
@@ -96,35 +88,10 @@ class Road:
         self._free: list[int] = []  # numbers of lines that were released
         self.shared: dict[str, Any] = {}  # what perception keeps for all predictors of this road
 
-    # -- lanes --------------------------------------------------------------------------------
-
-    @cached_property
-    def _lane_numbers(self) -> dict[str, int]:
-        return {name: number for number, name in enumerate(self.lanes)}
-
-    @cached_property
-    def predecessors(self) -> dict[str, list[str]]:
-        """The lanes that lead to each."""
-        before: dict[str, list[str]] = {name: [] for name in self.lanes}
-        for lane in self.lanes.values():
-            for successor in lane.successors:
-                if successor in before:
-                    before[successor].append(lane.id)
-        return before
-
-    @cached_property
-    def _lane_index(self) -> LaneIndex:
-        return LaneIndex([lane.xy_m for lane in self.lanes.values()])
-
-    @cached_property
-    def _lane_names(self) -> tuple[str, ...]:
-        return tuple(self.lanes)
-
-    def lanes_near(self, xy_m: FloatArray, yaw_rad: float, kind: Kind) -> list[str]:
-        """Lanes within `NEAR_M` and `NEAR_RAD` of a pose that a `kind` may use, nearest first."""
-        found = self._lane_index.near(xy_m, yaw_rad, NEAR_M, NEAR_RAD)
-        names = (self._lane_names[number] for number in found)
-        return [name for name in names if kind in self.lanes[name].kinds]
+    @property
+    def lanes(self) -> dict[str, Lane]:
+        """The lanes by name."""
+        return self.lane_graph.lanes
 
     # -- lines --------------------------------------------------------------------------------
 
@@ -141,12 +108,12 @@ class Road:
         key = (prefix, kind)
         if key not in self._branches:
             here = len(prefix) - 1
-            need_m = BEHIND_M + _length_m(self.lanes[prefix[-1]]) + AHEAD_M + SPARE_M
-            routes = self._extend(prefix, kind)
-            whole_m = [sum(_length_m(self.lanes[name]) for name in route) for route in routes]
+            need_m = BEHIND_M + length_m(self.lanes[prefix[-1]]) + AHEAD_M + SPARE_M
+            routes = self.lane_graph.routes_from(prefix, kind)
+            whole_m = [sum(length_m(self.lanes[name]) for name in route) for route in routes]
             self._branches[key] = tuple(
-                self._line(route, _WHOLE if length_m < need_m else here)
-                for route, length_m in zip(routes, whole_m, strict=True)
+                self._line(route, _WHOLE if whole < need_m else here)
+                for route, whole in zip(routes, whole_m, strict=True)
             )
         return self._branches[key]
 
@@ -156,22 +123,6 @@ class Road:
             index = self._add_line(route, here)
             self._line_of[route, here] = index
         return index
-
-    def prefix_to(self, lane_id: str, kind: Kind) -> Route:
-        """Lanes that lead to `lane_id`, the straightest first, for `BEHIND_M`, and itself."""
-        route, length_m = [lane_id], 0.0
-        while length_m < BEHIND_M:
-            before = [
-                name
-                for name in self.predecessors[route[0]]
-                if kind in self.lanes[name].kinds and name not in route
-            ]
-            if not before:
-                break
-            best = min(before, key=lambda name: (abs(self.lanes[name].turn), name))
-            route.insert(0, best)
-            length_m += _length_m(self.lanes[best])
-        return tuple(route)
 
     def trim(self, line: int, s_m: float) -> Route:
         """The lanes of a line from `BEHIND_M` before the arc length `s_m` to the lane at it."""
@@ -184,32 +135,11 @@ class Road:
         """A number for the lane of a line at an arc length, the same for every line over it."""
         start = self.lines[line].lane_start_s_m
         position = max(int(np.searchsorted(start, s_m, side="right")) - 1, 0)
-        return self._lane_numbers[self.lines[line].route[position]]
-
-    def _extend(self, prefix: Route, kind: Kind) -> list[Route]:
-        open_routes: list[tuple[float, Route]] = [(0.0, prefix)]
-        done: list[Route] = []
-        while open_routes:
-            length_m, route = open_routes.pop(0)
-            ahead = [
-                name
-                for name in self.lanes[route[-1]].successors
-                if name in self.lanes and kind in self.lanes[name].kinds and name not in route
-            ]
-            full = len(done) + len(open_routes) + len(ahead) > MAX_BRANCHES
-            # The first fork is never left out: no lane ahead would be a candidate.
-            if not ahead or length_m >= AHEAD_M or (full and route != prefix):
-                done.append(route)
-                continue
-            open_routes += [
-                (length_m + _length_m(self.lanes[name]), (*route, name)) for name in ahead
-            ]
-            open_routes.sort()
-        return done
+        return self.lane_graph.numbers[self.lines[line].route[position]]
 
     def _add_line(self, route: Route, here: int) -> int:
         lanes = [self.lanes[name] for name in route]
-        lengths = np.array([_length_m(lane) for lane in lanes])
+        lengths = np.array([length_m(lane) for lane in lanes])
         ends = np.cumsum(lengths)
         xy_m = np.concatenate([lane.xy_m for lane in lanes])
         cut_m = (0.0, float(ends[-1]))
@@ -260,7 +190,7 @@ class Road:
                 self.fork_s_m[index, fork] = start_s_m[position]
                 self.fork_end_s_m[index, fork] = end_s_m
                 self.fork_turn[index, fork] = lane.turn
-                self.fork_lane[index, fork] = self._lane_numbers[lane.id]
+                self.fork_lane[index, fork] = self.lane_graph.numbers[lane.id]
                 fork += 1
 
     def _grow(self, lines: int, vertices: int) -> None:
@@ -392,7 +322,7 @@ class Road:
         found = find_conflicts(
             self.xy_m[one], self.yaw_rad[one], self.xy_m[other], self.yaw_rad[other], LINE_STEP_M
         )
-        if not self._knows_junctions:
+        if not self.lane_graph.knows_junctions:
             return found
         return tuple(
             conflict
@@ -413,10 +343,6 @@ class Road:
             for line, entry, leave in zip(lines, conflict.entry_s_m, conflict.exit_s_m, strict=True)
         )
         return one, other
-
-    @cached_property
-    def _knows_junctions(self) -> bool:
-        return any(lane.is_connection for lane in self.lanes.values())
 
     def _touches_junction(self, line: int, from_s_m: float, to_s_m: float) -> bool:
         """Whether a connection is part of a line between two arc lengths."""
@@ -454,10 +380,6 @@ _NO_GATES: Final = {
 """Per-line arrays [L, MAX_FORKS], and what they hold where there is nothing."""
 _PER_LINE: Final = ("offset", "count", "_touched", *_NO_GATES)
 _PER_VERTEX: Final = ("xy_m", "yaw_rad", "speed_limit_mps", "curvature_per_m")
-
-
-def _length_m(lane: Lane) -> float:
-    return float(np.linalg.norm(np.diff(lane.xy_m, axis=0), axis=1).sum())
 
 
 def _smooth_curvature(yaw_rad: FloatArray) -> FloatArray:

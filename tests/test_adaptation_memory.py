@@ -13,9 +13,10 @@ from torch import Tensor
 from hatn_sim.datatypes import HISTORY_FRAMES, HORIZON_FRAMES, FloatArray
 from hatn_sim.hatn.adaptation import begin, linearise, update
 from hatn_sim.hatn.adaptation_layer import (
+    LAST,
     LAYERS,
     Layer,
-    linearise_last,
+    lineariser_of,
     own_parameters,
     positions_with,
     prior_of,
@@ -161,7 +162,11 @@ def test_the_jacobian_of_every_layer_is_that_of_finite_differences(
         return positions_with(network, layer, theta, batch, goal_m, 3).flatten(1)
 
     theta = prior_of(network, layer).repeat(4, 1)
-    _, jacobian = linearise(predict, theta)
+    expected, jacobian = linearise(predict, theta)
+    network.requires_grad_(False)
+    said, by_pushes = lineariser_of(network, layer, 3, as_program=False)(theta, batch, goal_m)
+    torch.testing.assert_close(said, expected, rtol=0, atol=1e-9)
+    torch.testing.assert_close(by_pushes, jacobian, rtol=1e-7, atol=1e-9)
     random = torch.Generator().manual_seed(1)
     for _ in range(3):
         way = torch.randn(theta.shape, generator=random, dtype=torch.float64)
@@ -171,23 +176,34 @@ def test_the_jacobian_of_every_layer_is_that_of_finite_differences(
         torch.testing.assert_close(expected, slope, rtol=1e-5, atol=1e-7)
 
 
-@pytest.mark.parametrize("settings", [PAPER, EdnSettings(), EdnSettings(decoder="plain")])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        PAPER,
+        EdnSettings(),
+        EdnSettings(attention=True, goal="transform", clock="output"),
+        EdnSettings(goal="output", clock="transform"),
+        EdnSettings(decoder="plain", goal="hidden", clock="hidden", speed_out=True, yaw_out=True),
+        EdnSettings(decoder="plain", coordinates="cartesian", incremental=False, aligned=False),
+    ],
+)
 @pytest.mark.parametrize("steps", [1, 3])
+@pytest.mark.parametrize("as_program", [False, True])
 def test_the_last_layers_jacobian_by_pushes_is_the_one_by_parameters(
-    moments: list[Moment], settings: EdnSettings, steps: int
+    moments: list[Moment], settings: EdnSettings, steps: int, as_program: bool
 ) -> None:
     network = network_of(replace(settings, goal_steps=1)).requires_grad_(False)
     batch, goal_m = moments[5].batch, moments[5].goal_m
     random = torch.Generator().manual_seed(2)
-    theta = prior_of(network, "dense3").repeat(4, 1)
+    theta = prior_of(network, LAST).repeat(4, 1)
     theta = theta + 0.05 * torch.randn(theta.shape, generator=random)
     slow = linearise(
-        lambda theta: positions_with(network, "dense3", theta, batch, goal_m, steps).flatten(1),
+        lambda theta: positions_with(network, LAST, theta, batch, goal_m, steps).flatten(1),
         theta,
     )
-    fast = linearise_last(network, theta, batch, goal_m, steps)
+    fast = lineariser_of(network, LAST, steps, as_program)(theta, batch, goal_m)
     for ours, theirs in zip(fast, slow, strict=True):
-        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-6)
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
 
 
 def test_what_was_said_before_is_not_asked_again(moments: list[Moment]) -> None:

@@ -232,6 +232,21 @@ def test_words_tell_what_was_said_and_what_happened(crossings: Run, cases: dict[
     assert (said.said, said.happened) == ("No conflict ahead.", "It has crossed.")
 
 
+@pytest.mark.parametrize(
+    ("frames", "happened"),
+    [
+        (125, "It went; nobody was seen to follow soon."),
+        (110, "Nobody was seen to cross within 5 s."),
+    ],
+)
+def test_words_where_the_log_ends_too_soon(tmp_path: Path, frames: int, happened: str) -> None:
+    """The ego crosses the third way at frame 120, another at 140; the case is of the first way."""
+    run = write_run(tmp_path / "run", frames)
+    case = find_cases([run], ("interaction",))["interaction"]
+    cast = cast_of(list(read_moments(run, case.frames, "ego")))
+    assert panel_words(case, cast, 100).happened == happened
+
+
 def slot(rear_id: str) -> Slot:
     nowhere = np.zeros((2, 2))
     return Slot(rear_id, rear_id == "ego", True, 0.5, nowhere, None)

@@ -192,9 +192,18 @@ def test_the_papers_form_has_weights_beside_the_others(
     Path("w-paper.safetensors").unlink()
     assert weights_of("hatn-paper", weights) == shipped.with_name("hatn-paper.safetensors")
     with suppress(InputError):  # where none ship
-        load_predictors(("hatn-paper",), weights, "none", False)
+        load_predictors(("hatn", "hatn-paper"), weights, "none", False)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("hatn-sim: hatn-paper: w-paper.safetensors is not beside w.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("given", "advice"),
+    [("w.safetensors", "leave --weights out"), ("w-paper.safetensors", "name w.safetensors")],
+)
+def test_weights_that_the_papers_form_alone_would_not_read(given: str, advice: str) -> None:
+    with pytest.raises(InputError, match=rf"--weights {given}: expected .*-paper.*; {advice}"):
+        load_predictors(("hatn-paper", "idm"), Path(given), "none", False)
 
 
 # ---------------------------------------------------------------------------------------------
@@ -339,6 +348,7 @@ def test_a_process_that_is_killed_is_one_line() -> None:
         (("--scenes", "recorded_sample", "--seeds", "1"), "--seeds: recorded traffic has no seed"),
         (("--scenes", "recorded_sample", "--lines", "route"), "--lines route: recorded tracks kn"),
         (("--weights", "w.safetensors"), "--weights w.safetensors: constant_velocity, idm cannot"),
+        (("--weights", ".", "--predictors", "hatn"), "weights .: expected a .safetensors file"),
         (("--out", "file"), "file: expected a folder, found a file; choose another --out"),
         (("--adapt", "kalman"), "argument --adapt: invalid choice: 'kalman'"),
         (("--workers", "0"), "argument --workers: expected a whole number above 0, found '0'"),

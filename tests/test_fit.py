@@ -124,6 +124,21 @@ def test_a_lost_loss_says_where_and_leaves_the_last_good_weights(tmp_path: Path)
         fitted(Workplace(), spoil=lambda n: np.inf if n == 2 else 1.0)
 
 
+def test_figures_that_are_never_finite_are_a_lost_loss() -> None:
+    model = network()
+    with pytest.raises(LossError, match=r"^training LINE: error was never finite: train with a "):
+        fit(
+            model,
+            SAMPLES,
+            lambda *_: (model[1].weight ** 2).sum(),
+            lambda: {"error": float("nan")},
+            "error",
+            name="LINE",
+            settings=QUICK,
+            place=Workplace(),
+        )
+
+
 def test_it_ends_early_where_nothing_gets_better() -> None:
     """The figures of a network that learns nothing are the same after every epoch."""
     watch = Told()

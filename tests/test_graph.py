@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hatn_sim.datatypes import HISTORY_FRAMES, Front, Gate, Kind, Scene, SemanticGraphs
 from hatn_sim.graph import CONTEXT, build_graphs
+from hatn_sim.hatn.predictor import repeats_of
 from hatn_sim.perception import PerceptionState, begin, perceive
 from hatn_sim.road import Road
 
@@ -226,3 +227,14 @@ def test_a_road_may_be_empty_for_a_while() -> None:
         assert len(build_graphs(road, state.seen).ego) == 0
     state = perceive(state, scene_of(2.2, {"new": (-40.0, 0.0, 0.0, 10.0)}), None)
     assert len(build_graphs(road, state.seen).ego) == 1
+
+
+def test_nodes_of_one_rear_vehicle_and_conflict_have_one_history() -> None:
+    """Two egos in a row on one line meet the same vehicles at the same place."""
+    graphs = graphs_of(CROSSING_TRAFFIC | {"ahead": (-20.0, 0.0, 0.0, 10.0)})
+    mask = graphs.node_mask
+    repeats = repeats_of(graphs)
+    assert len(repeats.first) < len(repeats.history) == mask.sum()
+    same = repeats.first.numpy()[repeats.history.numpy()]
+    np.testing.assert_array_equal(graphs.x[mask][same], graphs.x[mask])
+    np.testing.assert_array_equal(graphs.history_mask[mask][same], graphs.history_mask[mask])

@@ -16,8 +16,8 @@ from test_sgn import batch_of, network
 from hatn_sim.errors import InputError
 from hatn_sim.graph import CONTEXT, CONTEXT_SIZE
 from hatn_sim.hatn import edn as edn_module
+from hatn_sim.hatn import edn_kinematic, weights_io
 from hatn_sim.hatn import sgn as sgn_module
-from hatn_sim.hatn import weights_io
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import HISTORY
 from hatn_sim.hatn.sgn_settings import SgnSettings
@@ -147,7 +147,7 @@ def test_the_card_names_what_the_networks_read(tmp_path: Path) -> None:
         (sgn_module, "FEATURE_SCALE", (1.0,) * 7, "feature_scale differ"),
         (sgn_module, "CONTEXT_SCALE", (1.0,) * CONTEXT_SIZE, "context_scale differ"),
         (weights_io, "HISTORY", HISTORY[::-1], "history differ"),
-        (edn_module, "MAX_SLOPE", 1.0, "kinematic_limits differ"),
+        (edn_kinematic, "MAX_SLOPE", 1.0, "kinematic_limits differ"),
         (edn_module, "GOAL_SCALE_M", 5.0, "goal_scale_m differ"),
     ],
 )

@@ -32,7 +32,7 @@ ONLY_IN = {
 
 LAYERS = (
     ("", "datatypes", "errors", "geometry", "plugins", "resources", "safe_xml"),
-    ("config", "conflict_table", "conflicts", "lane_index", "road", "simulators"),
+    ("config", "conflict_table", "conflicts", "lane_graph", "lane_index", "road", "simulators"),
     (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
         *("perception", "speed_profile", "tracks"),

@@ -605,7 +605,7 @@ def test_the_sample_is_a_scene() -> None:
     assert len(frames) == 450
     assert max(len(frame.scene.ids) for frame in frames) >= 5
     on_lane = [
-        bool(road.lanes_near(xy_m, yaw, Kind(kind)))
+        bool(road.lane_graph.near(xy_m, yaw, Kind(kind)))
         for frame in frames[::20]
         for xy_m, yaw, kind in zip(
             frame.scene.xy_m, frame.scene.yaw_rad.tolist(), frame.scene.kind, strict=True

@@ -196,6 +196,9 @@ def test_the_last_good_weights_are_written_where_a_loss_is_lost(
     assert all(torch.isfinite(value).all() for value in load_file(kept).values())
     if network == "edn":
         assert load_weights(out).card["stopped"].startswith("training EDN: the loss became nan")
+        calls = steps  # the second epoch alone is trained again, and lost again
+        with pytest.raises(HatnSimError, match=r"^training EDN: the loss became nan at step"):
+            train(make_plan(split), out)
 
 
 def run_train(*words: object) -> int:
@@ -235,6 +238,19 @@ def test_a_place_that_cannot_be_written_is_found_before_simulating(
     (tmp_path / "file").touch()
     out = tmp_path / "file" / "x.safetensors"
     assert refused(*SHORT, "--out", out).startswith(f"weights {out}: cannot be written there: ")
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text("[sgn]\nwidth = [8]\n")
+    said = refused(*SHORT, "--sweep", sweep, "--out", out)
+    assert "x.sweep.jsonl: cannot be written there: " in said
+
+
+@pytest.mark.usefixtures("no_traffic")
+@pytest.mark.parametrize("text", ["{", "[]", "{}"])
+def test_a_damaged_plan_is_one_line(tmp_path: Path, refused: Callable[..., str], text: str) -> None:
+    (tmp_path / "x.progress").mkdir()
+    (tmp_path / "x.progress" / "plan.json").write_text(text)
+    said = refused(*SHORT, "--out", tmp_path / "x.safetensors")
+    assert said.startswith(f"{tmp_path / 'x.progress'}: is of a training with other traffic, ")
 
 
 @pytest.mark.usefixtures("no_traffic")
@@ -257,6 +273,11 @@ TRACKS = ("--tracks", "{sample}/vehicle_tracks_000.csv", "--map", "{sample}/map.
         (("--risks", ","), "--scenes, --risks, --seeds and --tune: expected at least one of each"),
         (("--seeds", "1-3", "--tune", "3"), "--seeds and --tune share seed 3 of intersection5: "),
         (("--seeds", "x"), "--seeds: expected seeds like 7, 1-12 or 1-4,9, found 'x'"),
+        (("--seeds", ""), "--seeds: expected seeds like 7, 1-12 or 1-4,9, found ''"),
+        (("--seeds", "5-1"), "--seeds: expected seeds in rising order, found '5-1'"),
+        (("--tune", f"1-{10**12}"), "--tune: expected at most 100,000 seeds, found '1-1000"),
+        (("--lines-from", "tracks"), "--lines-from tracks goes with --tracks; leave it out"),
+        (("--split", "no.toml", "--lines-from", "lanes"), "--lines-from lanes goes with --tracks"),
         (("--recordings", "000"), "--recordings goes with --tracks; leave it out"),
         ((*TRACKS, "--seeds", "1"), "--seeds is for scenes; leave it out with --tracks"),
         (TRACKS, "--tracks: add --recordings 000-014, those to learn from and to tune on"),
@@ -269,6 +290,7 @@ TRACKS = ("--tracks", "{sample}/vehicle_tracks_000.csv", "--map", "{sample}/map.
         (("--settings", "{tmp}/a.toml"), "{tmp}/a.toml: unknown setting 'sgn.widht'; did you mean"),
         (("--settings", "{tmp}/b.toml"), "{tmp}/b.toml: edn.width: expected a whole number from"),
         (("--settings", "{tmp}/c.toml"), "{tmp}/c.toml: unknown table 'fit'; did you mean '"),
+        (("--sweep", "{tmp}/d.toml", "--torch-seed", "-1"), "--torch-seed -1: expected 0 or more"),
         (("--sweep", "{tmp}/a.toml"), "{tmp}/a.toml: unknown setting 'sgn.widht'; did you mean "),
     ],
 )
@@ -278,6 +300,7 @@ def test_words_that_are_wrong(
     (tmp_path / "a.toml").write_text("[sgn]\nwidht = [3]\n")
     (tmp_path / "b.toml").write_text("[edn]\nwidth = 0.5\n")
     (tmp_path / "c.toml").write_text("[fit]\nbatch = 1\n")
+    (tmp_path / "d.toml").write_text("[sgn]\nwidth = [8]\n")
     places = {"tmp": tmp_path, "sample": scenarios_dir() / "recorded_sample"}
     said = refused(*(word.format(**places) for word in words), "--out", tmp_path / "x.safetensors")
     assert said.startswith(expected.format(**places))

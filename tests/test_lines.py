@@ -200,13 +200,13 @@ def test_who_strays_has_no_line_and_is_seldom_searched_for(
 ) -> None:
     road = Road(fork_lanes())
     searches: list[int] = []
-    search = road.lanes_near
+    search = road.lane_graph.near
 
     def counted(xy_m: FloatArray, yaw_rad: float, kind: Kind) -> list[str]:
         searches.append(1)
         return search(xy_m, yaw_rad, kind)
 
-    monkeypatch.setattr(road, "lanes_near", counted)
+    monkeypatch.setattr(road.lane_graph, "near", counted)
     watcher = Watcher(road)
     off_road = drive([(-60, 0), (-50, 0), (-40, -8), (20, -30), (60, -30)])
     routes = [watcher.see(pose) for pose in off_road]

@@ -15,7 +15,7 @@ from conftest import crossing_lanes
 from test_track_lines import traffic as drivers
 from test_track_lines import write_recording
 
-from hatn_sim import cli
+from hatn_sim import cli, perception
 from hatn_sim.datatypes import DT_S
 from hatn_sim.errors import InputError
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
@@ -35,7 +35,9 @@ from hatn_sim.learn.train import TrainingPlan, train
 from hatn_sim.learn.watch import Nobody
 from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
 from hatn_sim.log import Run, read_run
+from hatn_sim.perception import PerceptionState
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
+from hatn_sim.report import moment
 from hatn_sim.road import Road
 
 RECORDINGS = 7
@@ -218,6 +220,37 @@ def test_a_choice_goes_with_the_weights_and_is_shared(
         load_weights(tmp_path / "c.safetensors")
     save_weights(tmp_path / "d.safetensors", *networks, {})
     assert load_weights(tmp_path / "d.safetensors").line_choice is None
+
+
+@pytest.mark.parametrize("command", ["run", "evaluate"])
+def test_a_run_is_drawn_with_the_lines_it_was_made_with(
+    site: Path,
+    networks: tuple[SemanticGraphNetwork, EncoderDecoderNetwork],
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+) -> None:
+    choice, one = moved(0.1), ["--recordings", "000", "--duration", "2"]
+    save_weights(Path("w.safetensors"), *networks, {}, choice)
+    words = ["--weights", "w.safetensors", "--out", "out", "--quiet"]
+    if command == "run":
+        assert cli.main(["run", *tracks(site), *one, *words, "--no-picture"]) == 0
+        logged = read_run(Path("out"))
+    else:
+        words += ["--predictors", "hatn,idm", "--workers", "1", "--choice-from", "weights"]
+        assert cli.main(["evaluate", *tracks(site), *one, *words]) == 0
+        logged = log("out", "000")
+    begun: list[LineChoice | None] = []
+
+    def begin(road: Road, choice: LineChoice | None = None) -> PerceptionState:
+        begun.append(choice)
+        return perception.begin(road, choice)
+
+    monkeypatch.setattr(moment, "begin", begin)
+    moment.moment_at(logged, 0, logged.ids[0])
+    (found,) = begun
+    assert found is not None
+    for name, values in choice.to_arrays().items():
+        np.testing.assert_allclose(found.to_arrays()[name], values, atol=1e-6)
 
 
 class Stopping(Nobody):

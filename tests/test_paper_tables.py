@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -169,11 +170,18 @@ def test_files(tmp_path: Path) -> None:
         assert line == {key: "" if v is None else str(v) for key, v in entry.items()}
 
 
+WORDY = {**asdict(ROWS[0].scores[0]), "value": "0.5"}
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("", "expected rows of ablations, found none"),
         ('[{"table": "edn.a", "name": "x"}]', "expected rows of ablations, found none"),
+        (
+            json.dumps([{"table": "sgn", "name": "x", "scores": [WORDY]}]),
+            "row 'x': ade_3s: expected numbers, found ",
+        ),
         ('[{"table": "edn", "name": "x", "scores": []}]', "unknown table 'edn' of row 'x'"),
     ],
 )
@@ -211,6 +219,7 @@ def test_tables_fit_a_hundred_columns() -> None:
     for part in ("1.87 ± 1.48", "1.250 ± 0.625", "[1.125 1.375]", "over runs"):
         assert part in text
     assert "87.50 ± 43.75" in printed(SGN, ROWS)
+    assert "88.8 ± 31.53" in printed(SGN, [])  # as the paper prints it
     assert "interval" not in printed(SOTA, ROWS)
 
 
@@ -219,6 +228,7 @@ def test_the_command(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_rows(Path("rows.json"), ROWS)
+    write_rows(Path("edn.json"), [row for row in ROWS if row.table != "sgn"])
     words = ["evaluate", "--table", "edn", "--rows", "rows.json"]
     assert cli.main([*words, "--out", "out"]) == 0
     text = capsys.readouterr().out
@@ -229,6 +239,8 @@ def test_the_command(
     assert {entry["table"] for entry in listed} == {part.key for part in EDN}
     for other, expected in (
         (["--table", "sgn", "--rows", "no.json"], "no.json: there are no rows of ablations"),
+        (["--table", "adaptation", "--rows", "rows.json"], "--rows is of no use to --table adapt"),
+        (["--table", "sgn", "--rows", "edn.json"], "edn.json: expected rows of --table sgn, found"),
         (["--table", "sgn", "--risk", "assertive"], "--risk is of no use to --table sgn"),
         ([*words[1:], "--seeds", "1"], "--seeds is of no use with --rows"),
         (["--table", "adaptation", "--epochs", "1"], "--epochs is of no use to --table adaptation"),

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from hatn_sim.datatypes import ConflictType, FloatArray, Kind
 from hatn_sim.geometry import resample, tangent_rad, wrap_angle
-from hatn_sim.road import LINE_STEP_M, MAX_BRANCHES, Road
+from hatn_sim.lane_graph import MAX_BRANCHES
+from hatn_sim.road import LINE_STEP_M, Road
 
 WEST_EAST = ("w", "we", "e")
 SOUTH_NORTH = ("s", "sn", "n")

@@ -23,7 +23,6 @@ from hatn_sim.predictors.free_motion import (
     turning_xy_m,
 )
 from hatn_sim.predictors.fsm import CloserBy, find_meetings
-from hatn_sim.predictors.idm import IntelligentDriverModel
 from hatn_sim.predictors.present import Present, present_motion
 from hatn_sim.road import Road
 
@@ -248,7 +247,7 @@ def test_who_is_later_or_stands_is_not_followed() -> None:
 @pytest.mark.parametrize("name", ["fsm_d", "fsm_t"])
 def test_the_ego_drops_back_for_whom_it_follows(name: str) -> None:
     state = at_crossing(ego=(-30.0, 0.0, 0.0, 8.0), other=(0.0, -24.0, NORTH, 8.0))
-    fsm, idm = load_predictor(name).predict(state), IntelligentDriverModel().predict(state)
+    fsm, idm = load_predictor(name).predict(state), load_predictor("idm").predict(state)
     assert fsm.xy_m[0, 0, -1, 0] < idm.xy_m[0, 0, -1, 0] - 0.5
     np.testing.assert_allclose(fsm.xy_m[1], idm.xy_m[1], atol=1e-9)
 

@@ -156,6 +156,28 @@ def test_the_key_hangs_on_what_samples_hang_on(tmp_path: Path) -> None:
     assert len({key_of(one) for (one,) in scenes}) == len(scenes)
 
 
+def test_the_key_hangs_on_the_traffic_beside_a_users_configuration(tmp_path: Path) -> None:
+    """... and not on the weights, checkpoints and logs that a training leaves there."""
+    tjunction = scenarios_dir() / "tjunction"
+    shutil.copytree(tjunction, tmp_path / "mine")
+    shutil.copytree(tjunction.parent / "drivers", tmp_path / "drivers")
+    config = tmp_path / "mine" / "tjunction.sumocfg"
+
+    def key() -> str:
+        return key_of(traffic_of_scenes([str(config)], [1])[0])
+
+    before = key()
+    for name in ("w.safetensors", "w.json", "train.log"):
+        (tmp_path / "mine" / name).write_text(name)
+    assert key() == before
+    (tmp_path / "mine" / "included.rou.xml").write_text("<routes/>")
+    included = key()
+    assert included != before
+    with (tmp_path / "mine" / "tjunction.net.xml").open("a") as file:
+        file.write("<!-- changed -->\n")
+    assert key() not in (before, included)
+
+
 def test_the_folder_stays_within_its_bound(
     tmp_path: Path, cut: Samples, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,13 @@ from torch import Tensor
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.graph import CONTEXT, CONTEXT_SIZE
 from hatn_sim.hatn.anchors import anchors_of_context_m, anchors_of_features_m
-from hatn_sim.hatn.sgn import OF_THE_PAST, GraphBatch, Intention, SemanticGraphNetwork
+from hatn_sim.hatn.sgn import (
+    OF_THE_PAST,
+    GraphBatch,
+    Intention,
+    Repeats,
+    SemanticGraphNetwork,
+)
 from hatn_sim.hatn.sgn_program import frozen_sgn
 from hatn_sim.hatn.sgn_settings import SgnSettings, best_sgn, paper_sgn, paper_variants
 from hatn_sim.hatn.slots import race_log_probability
@@ -312,10 +318,32 @@ def test_the_traced_network_is_the_network(settings: SgnSettings, egos: int) -> 
     program = frozen_sgn(model)
     batch = batch_of(egos, 8, seed=egos)
     with torch.inference_mode():
-        expected, found = outputs(model(batch)), outputs(program(batch))
-    assert found.keys() == expected.keys()
+        expected = outputs(model(batch, egos_only=True))
+        every, found = outputs(model(batch)), outputs(program(batch))
+    assert found.keys() == expected.keys() == every.keys()
+    for name, value in expected.items():
+        of_egos = every[name] if name.startswith(("slot", "mode")) else every[name][:, :1]
+        torch.testing.assert_close(value, of_egos, rtol=1e-5, atol=1e-5)
     for name, value in expected.items():
         torch.testing.assert_close(found[name], value, rtol=1e-5, atol=1e-5)
+
+
+def test_a_history_in_several_graphs_is_encoded_once() -> None:
+    """Nodes of two vehicles in turn: with what repeats told, the same is said of every node."""
+    batch = batch_of(6, 8, seed=2)
+    vehicle = torch.arange(int(batch.node_mask.sum())) % 2
+    batch.x[batch.node_mask] = (
+        batch.x[0, :1].expand(2, -1, -1)[vehicle] * (vehicle + 1)[:, None, None]
+    )
+    repeats = Repeats(torch.tensor([0, 1]), vehicle)
+    model = network()
+    with torch.inference_mode():
+        expected, found = outputs(model(batch)), outputs(model(batch, repeats))
+        traced = outputs(frozen_sgn(model)(batch, repeats))
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, rtol=1e-5, atol=1e-5)
+        of_egos = value if name.startswith(("slot", "mode")) else value[:, :1]
+        torch.testing.assert_close(traced[name], of_egos, rtol=1e-5, atol=1e-5)
 
 
 def test_the_loss_by_hand() -> None:

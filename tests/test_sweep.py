@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +165,24 @@ def test_a_sweep_over_goals_alone_fits_no_second_network(
     sweep, fitted = read_sweep(sweep_of(tmp_path, text), BASIS), Fitted(monkeypatch)
     found = run_sweep(plan, sweep, BASIS, tmp_path / "w.sweep.jsonl", Nobody())
     assert fitted.edn == [] and best_trial(found, "goal_error_m").values == {"sgn.width": 16}
+
+
+def test_a_sweep_works_on_the_device_that_was_asked_for(
+    tmp_path: Path, plan: TrainingPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr(sweep_module, "fit_edn", lambda *_: (None, {"ade_3s_m": 1.0}))
+    places: list[Workplace] = []
+
+    def fit_sgn(*words: object) -> tuple[None, dict[str, float]]:
+        places.extend(word for word in words if isinstance(word, Workplace))
+        return None, {}
+
+    monkeypatch.setattr(sweep_module, "fit_sgn", fit_sgn)
+    sweep = read_sweep(sweep_of(tmp_path, "[sgn]\nwidth = [8]\n"), BASIS)
+    path = tmp_path / "made" / "w.sweep.jsonl"
+    run_sweep(replace(plan, device="cuda"), sweep, BASIS, path, Nobody())
+    assert [place.device.type for place in places] == ["cuda"] and path.is_file()
 
 
 def test_where_every_loss_is_lost() -> None:

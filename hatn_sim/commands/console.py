@@ -11,5 +11,8 @@ WIDTH = 100
 
 
 def make_console() -> Console:
-    """A console on standard output that paints nothing of its own accord."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH)
+    """A console on standard output that paints nothing of its own accord.
+
+    Names of files and scenes are the user's: what looks like markup in them is none.
+    """
+    return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else WIDTH)

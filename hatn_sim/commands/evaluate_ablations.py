@@ -93,6 +93,7 @@ def main(arguments: argparse.Namespace) -> int:
 def _print_given(arguments: argparse.Namespace) -> int:
     """The rows of a file."""
     from hatn_sim.errors import InputError
+    from hatn_sim.evaluation.paper import TABLES
     from hatn_sim.evaluation.table import read_rows, with_summary
 
     path: Path = arguments.rows
@@ -100,8 +101,15 @@ def _print_given(arguments: argparse.Namespace) -> int:
         raise InputError(
             f"{path}: there are no rows of ablations; give those of yours with --rows FILE"
         )
+    rows = with_summary(read_rows(path))
+    keys = {part.key for part in TABLES[arguments.table]}
+    if keys.isdisjoint(row.table for row in rows):
+        found = ", ".join(dict.fromkeys(row.table for row in rows)) or "none"
+        raise InputError(
+            f"{path}: expected rows of --table {arguments.table}, found {found}; give another file"
+        )
     out = free_or_own_folder(arguments.out, arguments.table)
-    return _print(arguments, out, with_summary(read_rows(path)), "runs or vehicles", "")
+    return _print(arguments, out, rows, "runs or vehicles", "")
 
 
 def _print(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 NETWORKS: Final = ("hatn-paper", "hatn")
 SCENES: Final = ("intersection5", "roundabout8")
 """The shipped scenes that are like the paper's two."""
-DURATION_S: Final = 60.0
+DURATION_S: Final = 45.0
 RESULTS_FOLDER: Final = "results"
 CSV_FILE: Final = "adaptation.csv"
 
@@ -93,11 +93,14 @@ def _traffic(arguments: argparse.Namespace) -> Mapping[str, Sequence[Traffic]]:
 def _jobs(
     arguments: argparse.Namespace, traffic: Mapping[str, Sequence[Traffic]], out: Path
 ) -> list[Job]:
+    from hatn_sim.commands.chosen_predictors import check_paper_weights
     from hatn_sim.hatn.weights_io import load_weights
     from hatn_sim.learn.adaptation_trials import TRIALS, Job
     from hatn_sim.predictors.find import weights_of
 
-    weights = {name: weights_of(name, arguments.weights) for name in _networks(arguments)}
+    networks = _networks(arguments)
+    check_paper_weights(networks, arguments.weights, arguments.quiet)
+    weights = {name: weights_of(name, arguments.weights) for name in networks}
     for path in weights.values():
         load_weights(path)  # before anything takes long
     return [

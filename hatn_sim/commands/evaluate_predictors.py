@@ -65,6 +65,8 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[Run]:
         arguments.predictors, arguments.weights, arguments.adapt, arguments.quiet
     )
     plans = list(_plans(arguments, predictors, out))
+    if not arguments.quiet:
+        _say_what_was_seen(predictors, plans)
     there = [is_there(plan) for plan in plans]
     if any(there) and not arguments.quiet:
         said = f"hatn-sim: {sum(there)} of {len(plans)} runs are in {out / RUNS_FOLDER} already"
@@ -80,6 +82,22 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[Run]:
             print(f"hatn-sim: {stays}", file=sys.stderr)
         raise
     return [read_run(plan.out) for plan in plans]
+
+
+def _say_what_was_seen(predictors: Sequence[Predictor], plans: Sequence[RunPlan]) -> None:
+    """A line for each network that is judged on what it learnt from."""
+    from hatn_sim.evaluation.seen import was_seen
+
+    for predictor in predictors:
+        card = getattr(getattr(predictor, "weights", None), "card", {})
+        seen = [plan.label for plan in plans if was_seen(card, plan.scenario, plan.seed)]
+        if seen:
+            runs = seen[0] if len(seen) == 1 else f"{seen[0]} ..."
+            print(
+                f"hatn-sim: {predictor.name} was trained or tuned on {len(seen)} of {len(plans)} "
+                f"runs ({runs}): its errors there are too small",
+                file=sys.stderr,
+            )
 
 
 def _make(plans: Sequence[RunPlan], workers: int, quiet: bool) -> None:

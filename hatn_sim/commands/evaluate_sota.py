@@ -43,6 +43,8 @@ def main(arguments: argparse.Namespace) -> int:
     console.print(paper_table(SOTA, entries, said_clusters(logged)))
     for line in lines_notes(scores):
         console.print(line, markup=False, style="dim")
+    if arguments.adapt == "none":
+        print("the paper's HATN adapts online, ours does not here: --adapt mekf")
     print(f"numbers in {out / CSV_FILE}")
     return 0
 

@@ -43,20 +43,13 @@ def names(text: str) -> tuple[str, ...]:
 
 def seeds(text: str) -> tuple[int, ...]:
     """Seeds as `7`, `1-12` or `1-4,9`."""
-    found: list[int] = []
-    for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        try:
-            start = int(first)
-            stop = int(last) if dash else start
-        except ValueError:
-            raise argparse.ArgumentTypeError(
-                f"expected seeds like 7, 1-12 or 1-4,9, found {text!r}"
-            ) from None
-        if stop < start:
-            raise argparse.ArgumentTypeError(f"expected seeds in rising order, found {part!r}")
-        found += range(start, stop + 1)
-    return tuple(dict.fromkeys(found))
+    from hatn_sim.config import seed_numbers
+    from hatn_sim.errors import InputError
+
+    try:
+        return seed_numbers(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def whole_number(text: str) -> int:

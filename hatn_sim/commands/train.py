@@ -141,6 +141,8 @@ def _split(arguments: argparse.Namespace) -> Split:
     given = {
         name for name in (*OF_SCENES, *OF_TRACKS, "tune") if getattr(arguments, name) is not None
     }
+    if arguments.tracks is None and arguments.lines_from != "auto":
+        raise InputError(f"--lines-from {arguments.lines_from} goes with --tracks; leave it out")
     if arguments.split is not None:
         for name in sorted(given):
             raise InputError(f"--{name}: --split names all traffic; leave one of them out")
@@ -165,9 +167,9 @@ def _split(arguments: argparse.Namespace) -> Split:
 
 def _split_of_scenes(arguments: argparse.Namespace) -> Split:
     """Scenes by their seeds, and runs by the seeds that they were made with."""
+    from hatn_sim.config import seed_numbers
     from hatn_sim.errors import InputError
     from hatn_sim.learn.split import DURATION_S, make_split, traffic_of_runs, traffic_of_scenes
-    from hatn_sim.learn.split_file import spans
 
     words = SCENES if arguments.scenes is None else arguments.scenes
     if not words or arguments.risks == ():
@@ -176,11 +178,11 @@ def _split_of_scenes(arguments: argparse.Namespace) -> Split:
     scenes = [word for word in words if word not in folders]
     runs = traffic_of_runs(folders)
     parts = {}
-    for part, option, text in (
-        ("train", "--seeds", arguments.seeds or SEEDS),
-        ("tune", "--tune", arguments.tune or TUNE),
+    for part, option, given, default in (
+        ("train", "--seeds", arguments.seeds, SEEDS),
+        ("tune", "--tune", arguments.tune, TUNE),
     ):
-        wanted = spans(text, option)
+        wanted = seed_numbers(default if given is None else given, f"{option}: ")
         parts[part] = traffic_of_scenes(
             scenes,
             wanted,

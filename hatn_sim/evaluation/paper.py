@@ -22,7 +22,7 @@ class Cell:
 
     mean: float
     std: float | None
-    decimals: int  # that the paper prints
+    printed: str  # as in the paper
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,7 @@ def _table(
 
 def _cell(text: str, factor: float) -> Cell:
     mean, _, std = text.strip().partition("±")
-    decimals = len(mean.strip().partition(".")[2])
-    return Cell(factor * float(mean), factor * float(std) if std else None, decimals)
+    return Cell(factor * float(mean), factor * float(std) if std else None, text.strip())
 
 
 SGN: Final = _table(

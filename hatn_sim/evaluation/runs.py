@@ -19,11 +19,13 @@ from hatn_sim.evaluation.pool import Teller
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.line_choice import LineChoice
 from hatn_sim.log import RunWriter, read_run
+from hatn_sim.log.choice_file import write_run_choice
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.log.schema import RUN_FILE
 from hatn_sim.loop import Adviser, LineSource, run, warm_up
 from hatn_sim.perception import choose_lines_by
 from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
+from hatn_sim.simulators.sumo_config import named_files
 from hatn_sim.traffic import ids_by, open_traffic
 
 FOUND_OUT: Final = "ids_by"
@@ -104,10 +106,11 @@ def _comparable(header: Mapping[str, Any]) -> dict[str, Any]:
 
 def _sources(plan: RunPlan) -> list[Path]:
     """The user's own files that the traffic is made from."""
-    recorded = plan.scenario.recorded
+    recorded, config = plan.scenario.recorded, plan.scenario.config_path
     if recorded is None:
-        return [plan.scenario.config_path] if plan.scenario.is_user_config else []
-    paths = [*recorded.tracks, *([] if recorded.map_path is None else [recorded.map_path])]
+        paths = [config, *named_files(config)] if plan.scenario.is_user_config else []
+    else:
+        paths = [*recorded.tracks, *([] if recorded.map_path is None else [recorded.map_path])]
     return [path for path in paths if path.is_file()]
 
 
@@ -142,6 +145,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
         total = plan.frames
         with RunWriter(plan.out, {**plan.header, "settings": settings}) as writer:
             write_road(plan.out / ROAD_FILE, simulator.road.lanes.values())
+            write_run_choice(plan.out, advisers[0].predictor, plan.choice)
 
             def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
                 teller.tell(index)

@@ -114,7 +114,7 @@ def write_csv(path: Path, entries: Sequence[Entry]) -> None:
 
 
 def entries_json(entries: Sequence[Entry]) -> str:
-    """A JSON list of objects with the keys of `COLUMNS`; no value is null."""
+    """A JSON list of objects with the keys of `COLUMNS`; null where there is no number."""
     return json.dumps([_flat(entry) for entry in entries], indent=2, allow_nan=False)
 
 
@@ -166,7 +166,20 @@ def read_rows(path: Path) -> list[AblationRow]:
                 f"{path}: unknown table {row.table!r} of row {row.name!r}; expected one of "
                 f"{', '.join(sorted(keys))}"
             )
+        for score in row.scores:
+            if not _is_number_with_interval(score):
+                raise InputError(
+                    f"{path}: row {row.name!r}: {score.measure}: expected numbers, found {score}; "
+                    "give a file that an ablation wrote"
+                )
     return rows
+
+
+def _is_number_with_interval(score: Score) -> bool:
+    """Value, deviation and interval are numbers or not there, and n says how many there were."""
+    told = (score.value, score.std, score.low, score.high)
+    is_known = all(one is None or isinstance(one, int | float) for one in told)
+    return is_known and isinstance(score.n, int)
 
 
 def _score(found: Mapping[str, Any]) -> Score:

@@ -118,19 +118,25 @@ def update(
     gate = gate_of(size, settings.gate)
     fits = (surprise <= settings.reject**2 * gate) & (failed == 0)
     white = white * (gate / surprise).clamp(max=1.0).sqrt()[:, None, None]
-    # With S = L L', K e = (L^-1 H P)' L^-1 e, and K H P = (L^-1 H P)' (L^-1 H P): symmetric.
-    reduced = torch.linalg.solve_triangular(factor, hp, upper=False)
-    reduced = torch.where(fits[:, None, None], reduced, 0.0)
-    white = torch.where(fits[:, None, None], white, 0.0)
-    theta = state.theta + (reduced.mT @ white)[..., 0]
+    fits_row = fits[:, None, None]
+    # With S = L L', K e = (H P)' L^-T L^-1 e, and K H P = (L^-1 H P)' (L^-1 H P): symmetric.
+    gain = torch.linalg.solve_triangular(factor.mT, torch.where(fits_row, white, 0.0), upper=True)
+    theta = state.theta + (torch.where(fits_row, hp, 0.0).mT @ gain)[..., 0]
     theta = _within(theta, prior, settings.max_change)
     kept = (1.0 - settings.relaxation) / settings.forgetting
     added = settings.relaxation * settings.start_variance + kept * settings.process_variance
-    if joint:
-        covariance = torch.baddbmm(state.covariance, reduced.mT, reduced, beta=kept, alpha=-kept)
-        covariance.diagonal(dim1=1, dim2=2).add_(added)
+    if not kept:
+        covariance = torch.full_like(state.covariance, added)  # diagonal, see `begin`
     else:
-        covariance = kept * (state.covariance - reduced.square().sum(1)) + added
+        reduced = torch.linalg.solve_triangular(factor, hp, upper=False)
+        reduced = torch.where(fits_row, reduced, 0.0)
+        if joint:
+            covariance = torch.baddbmm(
+                state.covariance, reduced.mT, reduced, beta=kept, alpha=-kept
+            )
+            covariance.diagonal(dim1=1, dim2=2).add_(added)
+        else:
+            covariance = kept * (state.covariance - reduced.square().sum(1)) + added
     misses = torch.where(fits, 0, state.misses + 1)
     if seen is not None:
         unseen = (~seen).nonzero()[:, 0]

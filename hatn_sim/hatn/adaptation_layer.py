@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from torch import Tensor
 from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
 from hatn_sim.hatn.adaptation import linearise
 from hatn_sim.hatn.edn import EncoderDecoderNetwork, Parameters, VehicleBatch
+from hatn_sim.hatn.edn_last_layer import last_layer_lineariser
 from hatn_sim.hatn.edn_program import frozen_edn
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 
@@ -33,6 +34,8 @@ LAYERS: Final[Mapping[Layer, tuple[str, str]]] = {
     "dense3": ("dense3.weight", "dense3.bias"),
 }
 """Weight and bias of a layer, in the order that a signal meets them."""
+LAST: Final[Layer] = "dense3"
+"""The one that is adapted unless another is asked for; programs are made for it only."""
 STEADY_MPS: Final = 8.0
 
 
@@ -68,7 +71,7 @@ def decoder_of(
     network: EncoderDecoderNetwork, layer: Layer, as_program: bool
 ) -> Callable[[Tensor, VehicleBatch, Tensor], Tensor]:
     """The whole future [B, F, 2] from theta [B, P], batch and goals; see `positions_with`."""
-    if not (as_program and layer == "dense3"):
+    if not (as_program and layer == LAST):
 
         def decode(theta: Tensor, batch: VehicleBatch, goal_m: Tensor) -> Tensor:
             return positions_with(network, layer, theta, batch, goal_m, HORIZON_FRAMES)
@@ -84,37 +87,68 @@ def decoder_of(
     return run
 
 
-def linearise_last(
+class _Watched:
+    """The weight of a layer [B, O, I] that takes note of what it reads, and may be pushed after."""
+
+    def __init__(self, weight: Tensor) -> None:
+        self.weight = weight
+        self.read: list[Tensor] = []  # [B, I] at each step
+        self.pushes: list[Tensor] = []  # [B, O, 1]
+
+    def dim(self) -> int:
+        return self.weight.dim()
+
+    def __matmul__(self, x: Tensor) -> Tensor:
+        out = self.weight @ x
+        self.read.append(x.detach()[..., 0])
+        self.pushes.append(torch.zeros_like(out, requires_grad=True))
+        return out + self.pushes[-1]
+
+
+def linearise_layer(
     network: EncoderDecoderNetwork,
+    layer: Layer,
     theta: Tensor,
     batch: VehicleBatch,
     goal_m: Tensor,
     steps: int,
 ) -> tuple[Tensor, Tensor]:
-    """`linearise` of `positions_with` for the last layer, whose structure makes it cheap.
+    """`linearise` of `positions_with`, by what pushes on the layer's outputs do.
 
-    The layer takes z_k to W z_k + b at step k, so dy/dW is the sum over steps of what a push on
-    this step's output does to y, times z_k: only the pushes are differentiated by.
+    The layer takes x_k to W x_k + b at step k, so dy/dW is the sum over steps of dy/d(W x_k + b)
+    times x_k: much smaller than what is differentiated by otherwise.
     """
-    own = own_parameters(network, "dense3", theta)
-    weight, bias = (own[name] for name in LAYERS["dense3"])
-    read: list[Tensor] = []
-    pushes: list[Tensor] = []
-
-    def last_layer(z: Tensor) -> Tensor:
-        read.append(z.detach())
-        pushes.append(torch.zeros_like(bias, requires_grad=True))
-        return (weight @ z[..., None])[..., 0] + bias + pushes[-1]
-
+    weight, bias = LAYERS[layer]
+    own = own_parameters(network, layer, theta)
+    watched = _Watched(own[weight])
     with torch.enable_grad():
-        out = network(batch, goal_m, steps, last_layer=last_layer).flatten(1)
+        pair: Any = {weight: watched, bias: own[bias]}
+        out = network(batch, goal_m, steps, pair).flatten(1)
         each = torch.eye(out.shape[1], dtype=out.dtype)[:, None].expand(-1, *out.shape)
-        pushed = torch.autograd.grad(out, pushes, each, is_grads_batched=True)  # steps of [D, B, O]
-    ones = torch.ones_like(bias[:, :1])
-    inputs = torch.stack([torch.cat((z, ones), 1) for z in read], 1)  # [B, steps, width + 1]
-    by_push = torch.stack(pushed, -1).movedim(0, 1)  # [B, D, O, steps]
+        pushed = torch.autograd.grad(out, watched.pushes, each, is_grads_batched=True)
+    read = torch.stack(watched.read, 1)  # [B, K, I]
+    inputs = torch.cat((read, torch.ones_like(read[..., :1])), -1)
+    by_push = torch.cat(pushed, -1).transpose(0, 1)  # [B, D, O, K]
     jacobian = by_push.flatten(1, 2) @ inputs
-    return out.detach(), jacobian.view(*by_push.shape[:2], -1)
+    return out.detach(), jacobian.view(len(out), out.shape[1], -1)
+
+
+def lineariser_of(
+    network: EncoderDecoderNetwork, layer: Layer, steps: int, as_program: bool
+) -> Callable[[Tensor, VehicleBatch, Tensor], tuple[Tensor, Tensor]]:
+    """From theta [B, P], batch and goals: positions [B, steps x 2], their Jacobian [B, ., P]."""
+    if layer != LAST:
+        return lambda theta, batch, goal_m: linearise_layer(
+            network, layer, theta, batch, goal_m, steps
+        )
+    by_pushes = last_layer_lineariser(network, steps, as_program)
+    weight, bias = LAYERS[layer]
+
+    def run(theta: Tensor, batch: VehicleBatch, goal_m: Tensor) -> tuple[Tensor, Tensor]:
+        own = own_parameters(network, layer, theta)
+        return by_pushes(own[weight], own[bias], batch, goal_m)
+
+    return run
 
 
 def sensitivity_m2(network: EncoderDecoderNetwork, layer: Layer, steps: int) -> float:

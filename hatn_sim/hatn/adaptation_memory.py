@@ -32,15 +32,14 @@ from hatn_sim.hatn.adaptation import (
     FilterState,
     begin,
     descend,
-    linearise,
     restart,
     update,
 )
 from hatn_sim.hatn.adaptation_layer import (
+    LAST,
     Layer,
     decoder_of,
-    linearise_last,
-    positions_with,
+    lineariser_of,
     prior_of,
     sensitivity_m2,
 )
@@ -74,7 +73,7 @@ class AdaptationSettings:
     """
 
     method: Method = "mekf"
-    layer: Layer = "dense3"
+    layer: Layer = LAST
     steps: int = 3  # tau: how many frames of 0.1 s are looked back
     start_std_m: float = 0.05  # how far the trained parameters may mispredict a steady vehicle
     measurement_std_m: float = 0.01
@@ -102,6 +101,8 @@ class Adapter:
     rate: float  # of `sgd`, in parameters
     decode: Callable[[Tensor, VehicleBatch, Tensor], Tensor]
     """(theta [B, P], what B vehicles' network reads, goals) -> their future [B, F, 2]."""
+    linearise: Callable[[Tensor, VehicleBatch, Tensor], tuple[Tensor, Tensor]]
+    """The same -> its first `steps` positions [B, D] and their Jacobian [B, D, P]."""
 
 
 def adapter_of(
@@ -125,9 +126,15 @@ def adapter_of(
     if settings.method == "rls":
         filter_settings = replace(filter_settings, relaxation=0.0, process_variance=0.0, gate=1.0)
     rate = settings.rate / (sensitivity * 2 * settings.steps)
-    decode = decoder_of(network, settings.layer, as_program)
-    prior = prior_of(network, settings.layer)
-    return Adapter(network, settings, prior, filter_settings, rate, decode)
+    return Adapter(
+        network,
+        settings,
+        prior_of(network, settings.layer),
+        filter_settings,
+        rate,
+        decoder_of(network, settings.layer, as_program),
+        lineariser_of(network, settings.layer, settings.steps, as_program),
+    )
 
 
 def learn(
@@ -145,16 +152,8 @@ def learn(
     the newest increment, which the parameters have not seen yet: what they changed of its
     prediction times what the trained ones missed of it, and the square of that change.
     """
-    settings, network = adapter.settings, adapter.network
-    if settings.layer == "dense3":
-        predicted, jacobian = linearise_last(network, state.theta, batch, goal_m, settings.steps)
-    else:
-        predicted, jacobian = linearise(
-            lambda theta: positions_with(
-                network, settings.layer, theta, batch, goal_m, settings.steps
-            ).flatten(1),
-            state.theta,
-        )
+    settings = adapter.settings
+    predicted, jacobian = adapter.linearise(state.theta, batch, goal_m)
     innovation = driven_m.flatten(1) - predicted
     changed = (jacobian @ (state.theta - adapter.prior)[..., None])[..., 0]
     change, missed = (

@@ -19,15 +19,16 @@ import torch
 from torch import Tensor, nn
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
-from hatn_sim.hatn import edn_plain
-from hatn_sim.hatn.kinematics import (
-    Present,
-    gap_ahead_m,
-    largest_curvature_per_m,
-    path_along,
-    positions,
-    present_motion,
+from hatn_sim.hatn import edn_kinematic, edn_plain
+from hatn_sim.hatn.edn_kinematic import (
+    ACCELERATION_MPS2,
+    AHEAD_STEPS,
+    MAX_JERK_MPS3,
+    MAX_SLOPE,
+    MAX_SWERVE_PER_M,
+    START_LIMITS,
 )
+from hatn_sim.hatn.kinematics import path_along, positions, present_motion
 from hatn_sim.hatn.travel import PROFILE_S
 
 Signal = Literal["none", "transform", "input", "output", "hidden"]
@@ -35,21 +36,6 @@ Signal = Literal["none", "transform", "input", "output", "hidden"]
 GOAL_SCALE_M: Final = 10.0
 PROFILE_STEPS: Final = len(PROFILE_S)
 """A goal may be the distances after 0.5, 1 ... 3 s in place of the last of them."""
-MAX_JERK_MPS3: Final = 30.0
-ACCELERATION_MPS2: Final = (-9.0, 6.0)
-MAX_SWERVE_PER_M: Final = 0.03
-"""By how much one step may change the curvature against the path's."""
-MAX_SLOPE: Final = 0.5
-START_LIMITS: Final = (0.03, 3.0, 0.1, 0.05)
-"""How far the present increment (m), acceleration, course and curvature may be corrected."""
-GAP_AT_S: Final = (0.5, 1.0, 1.5, 2.0, 3.0)
-"""The network is told how far beside the present arc the line runs, after the way of these times
-and a metre more for each second."""
-GAP_M: Final = 6.0
-"""At most so far."""
-BLEND_M: Final = 4.0
-BLEND_S: Final = 1.0
-"""The path is the line's after this and the way of this time, unless the network knows better."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +97,10 @@ class EncoderDecoderNetwork(nn.Module):
         super().__init__()
         self.settings = settings
         width, kinematic = settings.width, settings.decoder == "kinematic"
-        size = _KINEMATIC_HISTORY if kinematic else edn_plain.history_size(settings)
+        size = edn_kinematic.HISTORY_SIZE if kinematic else edn_plain.history_size(settings)
         self.encoder = nn.GRU(size, width, batch_first=True)
         outputs = 2 if kinematic else edn_plain.output_size(settings)
-        size = _KINEMATIC_STATE if kinematic else outputs
+        size = edn_kinematic.STATE_SIZE if kinematic else outputs
         size += _goal_input_size(settings) + (settings.clock in ("input", "transform"))
         if settings.attention:
             size += width
@@ -161,46 +147,19 @@ class EncoderDecoderNetwork(nn.Module):
         last_layer: LastLayer | None,
     ) -> Tensor:
         """Accelerations and curvatures, integrated."""
-        history = batch.history
-        now = present_motion(history)
-        usual_m = BLEND_M + BLEND_S / DT_S * now.increment_m
-        arc = path_along(batch.line, now.course_rad, _curvature(now, 1.0), usual_m)
-        ahead_m = now.increment_m.unsqueeze(-1) / DT_S * history.new_tensor(GAP_AT_S)
-        gaps_m = gap_ahead_m(arc, ahead_m + history.new_tensor(GAP_AT_S))
-        read = _kinematic_history(history, now, gaps_m)
+        now = present_motion(batch.history)
+        read = edn_kinematic.history_inputs(batch.history, batch.line, now)
         hidden, memory = self._encode(read, goal_m, own, last_layer)
-        limits = history.new_tensor(START_LIMITS)
-        correction = self.start(hidden)
-        increment, acceleration, course, curvature = (
-            torch.stack(
-                (
-                    now.increment_m,
-                    now.acceleration_mps2,
-                    now.course_rad,
-                    _curvature(now, 2.0 * correction[:, 5].sigmoid()),
-                ),
-                -1,
-            )
-            + limits * correction[:, :4].tanh()
-        ).unbind(-1)
-        increment = increment.clamp(min=0.0)
-        blend_m = usual_m * correction[:, 4].clamp(-2, 2).exp()
-        wanted_m = _by_step(goal_m, steps)
+        now, blend_m = edn_kinematic.corrected(now, self.start(hidden))
+        increment, acceleration = now.increment_m, now.acceleration_mps2
+        wanted_m = edn_kinematic.by_step(goal_m, steps)
         progress = torch.zeros_like(increment)
         offset, slope = torch.zeros_like(increment), torch.zeros_like(increment)
         progress_m, offset_m = [], []
         for step in range(steps):
-            ahead = wanted_m[:, min(step + 5, wanted_m.shape[1] - 1)] - progress
-            state = torch.stack(
-                (
-                    increment,
-                    acceleration / 4.0,
-                    offset,
-                    slope * 4.0,
-                    wanted_m[:, step] - progress,
-                    ahead / 4.0,
-                ),
-                -1,
+            ahead_m = wanted_m[:, min(step + AHEAD_STEPS, wanted_m.shape[1] - 1)]
+            state = edn_kinematic.state_inputs(
+                increment, acceleration, slope, offset, progress, wanted_m[:, step], ahead_m
             )
             left_m = (goal_m - progress.unsqueeze(-1)) / GOAL_SCALE_M
             emitted, hidden = self._step(state, left_m, hidden, step, memory)
@@ -215,7 +174,7 @@ class EncoderDecoderNetwork(nn.Module):
             progress = progress + increment
             progress_m.append(progress)
             offset_m.append(offset)
-        path = path_along(batch.line, course, curvature, blend_m)
+        path = path_along(batch.line, now.course_rad, now.curvature_per_m, blend_m)
         return positions(path, torch.stack(progress_m, 1), torch.stack(offset_m, 1))
 
     def native(
@@ -283,21 +242,12 @@ class EncoderDecoderNetwork(nn.Module):
         """One step of the decoder: (what it emits [B, O], its hidden state [B, width])."""
         settings, own = self.settings, memory.own
         clock = torch.full_like(state[:, :1], step / HORIZON_FRAMES)
-        read = [state]
-        if settings.goal == "input":
-            read += [memory.goal, left_m]
-        elif settings.goal == "transform":
-            read.append(left_m)
-        if settings.clock == "input":
-            read.append(clock)
-        elif settings.clock == "transform":
-            # Relative to the goal: the speed that would be needed to get there in time.
-            read.append(left_m[:, -1:] / (1.0 - clock))
+        read = decoder_input(settings, state, memory.goal, left_m, clock)
         if memory.encoded is not None:
-            read.append(self._attended(hidden, memory.encoded))
+            read = torch.cat((read, self._attended(hidden, memory.encoded)), -1)
         if settings.clock == "hidden":
             hidden = hidden + self.embed_clock(clock)
-        hidden = self._decoder(torch.cat(read, -1), hidden, own)
+        hidden = self._decoder(read, hidden, own)
         deep = [hidden]
         if settings.goal == "output":
             deep.append(memory.goal)
@@ -357,56 +307,24 @@ def _gru(
     return new + update * (hidden - new)
 
 
-_KINEMATIC_HISTORY: Final = 14 + len(GAP_AT_S)
-_KINEMATIC_STATE: Final = 6
+def decoder_input(
+    settings: EdnSettings, state: Tensor, goal: Tensor, left: Tensor, clock: Tensor
+) -> Tensor:
+    """What a step of the decoder reads [B, I] beside its hidden state and what it attends to.
 
-
-def _curvature(now: Present, trend: float | Tensor) -> Tensor:
-    """How the path goes on [B], with so much of how its curvature has changed."""
-    onward = now.curvature_per_m + trend * now.curving_per_m
-    most = largest_curvature_per_m(now.increment_m)
-    return onward.clamp(-most, most)
-
-
-def _kinematic_history(history: Tensor, now: Present, gaps_m: Tensor) -> Tensor:
-    """Motion along the line and in the vehicle's own frame, fine differences enlarged.
-
-    [B, T, _KINEMATIC_HISTORY]; the increments of the first frame repeat those of the second.
+    `state` [B, O]; `goal` and `left` [B, goal_steps] scaled; `clock` [B, 1] from 0 to 1.
     """
-    s, d, v_s, v_d, phi, seen, x, y, yaw, speed = history.unbind(-1)
-    dx, dy = x.diff(dim=1), y.diff(dim=1)
-    dx, dy = torch.cat((dx[:, :1], dx), 1), torch.cat((dy[:, :1], dy), 1)
-    length = (dx * dx + dy * dy + 1e-12).sqrt()
-    speed_now = speed[:, -1:]
-    acceleration = now.acceleration_mps2.unsqueeze(-1).expand_as(s)
-    columns = (
-        s / 10.0,
-        d,
-        v_s / 10.0,
-        v_d,
-        phi / 0.5,
-        seen,
-        (length - now.increment_m.unsqueeze(-1)) / 0.1,
-        dy / 0.1,
-        yaw / 0.2,
-        (speed - speed_now) / 2.0,
-        (length / DT_S - speed) / 0.5,
-        acceleration / 2.0,
-        now.curvature_per_m.unsqueeze(-1).expand_as(s) / 0.1,
-        now.curving_per_m.unsqueeze(-1).expand_as(s) / 0.05,
-        *(gap.unsqueeze(-1).expand_as(s) for gap in (gaps_m.clamp(-GAP_M, GAP_M) / 2.0).unbind(-1)),
-    )
-    return torch.stack(columns, -1)
-
-
-def _by_step(goal_m: Tensor, steps: int) -> Tensor:
-    """Distance wanted at every step [B, HORIZON_FRAMES or fewer]: straight between the goals."""
-    count = goal_m.shape[1]
-    knots = torch.cat((torch.zeros_like(goal_m[:, :1]), goal_m), 1)
-    every = HORIZON_FRAMES // count
-    part = torch.arange(1, every + 1, device=goal_m.device, dtype=goal_m.dtype) / every
-    between = knots[:, :-1, None] + (knots[:, 1:, None] - knots[:, :-1, None]) * part
-    return between.flatten(1)[:, : max(steps + 5, 1)]
+    read = [state]
+    if settings.goal == "input":
+        read += [goal, left]
+    elif settings.goal == "transform":
+        read.append(left)
+    if settings.clock == "input":
+        read.append(clock)
+    elif settings.clock == "transform":
+        # Relative to the goal: the speed that would be needed to get there in time.
+        read.append(left[:, -1:] / (1.0 - clock))
+    return torch.cat(read, -1)
 
 
 def _goal_input_size(settings: EdnSettings) -> int:

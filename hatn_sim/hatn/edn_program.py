@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from hatn_sim.datatypes import HISTORY_FRAMES
 from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch
+from hatn_sim.hatn.edn_columns import ColumnDecoder, has_columns
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 
 
@@ -50,22 +52,32 @@ def frozen_edn(
     Takes history, line, at and goal_m, and with `own_last_layer` a weight [B, O, width] and a bias
     [B, O] for each vehicle; gives what `EncoderDecoderNetwork.forward` does.
     """
-    settings = network.settings
-    example = (
+    program: nn.Module = _OwnProgram(network) if own_last_layer else _Program(network)
+    if has_columns(network.settings):
+        program = ColumnDecoder(network)
+    if not own_last_layer:
+        return frozen(program, example_of(network))
+    outputs, width = network.dense3.weight.shape
+    own = (torch.randn(3, outputs, width), torch.randn(3, outputs))
+    return frozen(program, (*example_of(network), *own))
+
+
+def example_of(network: EncoderDecoderNetwork) -> tuple[Tensor, ...]:
+    """History, line, at and goal_m of three vehicles, to trace a program by."""
+    return (
         torch.randn(3, HISTORY_FRAMES, len(HISTORY)),
         torch.randn(3, len(LINE_AT_M), 2).cumsum(1),
         torch.randn(3, 5),
-        torch.rand(3, settings.goal_steps).cumsum(-1),
+        torch.rand(3, network.settings.goal_steps).cumsum(-1),
     )
-    program = _Program(network)
-    if own_last_layer:
-        outputs = network.dense3.out_features
-        example += (torch.randn(3, outputs, settings.width), torch.randn(3, outputs))
-        program = _OwnProgram(network)
+
+
+def frozen(program: nn.Module, example: tuple[Tensor, ...]) -> Callable[..., Any]:
+    """A module as one program for prediction only, traced by what it does to an example."""
     with warnings.catch_warnings(), torch.no_grad():
         # Deprecated in favour of a compiler that a user's machine may not have.
         warnings.simplefilter("ignore")
-        traced: Callable[..., Tensor] = torch.jit.freeze(
+        traced: Callable[..., Any] = torch.jit.freeze(
             torch.jit.trace(program.eval(), example, check_trace=False)
         )
     return traced

@@ -21,7 +21,7 @@ from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.edn_program import frozen_edn
 from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
 from hatn_sim.hatn.modes import modes_of
-from hatn_sim.hatn.sgn import GraphBatch, Intention
+from hatn_sim.hatn.sgn import GraphBatch, Intention, Repeats
 from hatn_sim.hatn.sgn_program import frozen_sgn
 from hatn_sim.hatn.weights_io import Weights, load_weights
 from hatn_sim.perception import PerceptionState, begin, perceive
@@ -99,7 +99,7 @@ class Hatn:
     @torch.inference_mode()
     def intend(self, graphs: SemanticGraphs) -> Intention:
         """What the SGN says of all graphs; there must be one."""
-        return self._relate(graph_batch(graphs))
+        return self._relate(graph_batch(graphs), repeats_of(graphs))
 
     @torch.inference_mode()
     def drive(
@@ -137,6 +137,15 @@ def graph_batch(graphs: SemanticGraphs) -> GraphBatch:
         focus_mask=torch.from_numpy(graphs.focus_mask),
         history_mask=torch.from_numpy(graphs.history_mask),
     )
+
+
+def repeats_of(graphs: SemanticGraphs) -> Repeats:
+    """Nodes with the same rear vehicle and conflict: they are of one history, in many graphs."""
+    rear, to_conflict_m = (
+        of_node[graphs.node_mask] for of_node in (graphs.rear, graphs.rear_to_conflict_m)
+    )
+    _, first, history = np.unique(rear + 1j * to_conflict_m, return_index=True, return_inverse=True)
+    return Repeats(torch.from_numpy(first), torch.from_numpy(history))
 
 
 def _ego_goals(intention: Intention) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -74,6 +74,24 @@ class GraphBatch:
     focus_mask: Tensor  # [E, M]
     history_mask: Tensor  # [E, M, T]
 
+    def of_egos(self) -> GraphBatch:
+        """The same with the egos' own nodes only."""
+        return GraphBatch(
+            self.x[:, :1],
+            self.context[:, :1],
+            self.node_mask[:, :1],
+            self.focus_mask[:, :1],
+            self.history_mask[:, :1],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """Which of the N nodes there are, row by row, have the same history as another one."""
+
+    first: Tensor  # [U] a node for each history
+    history: Tensor  # [N] which of these is its own
+
 
 @dataclass(frozen=True, eq=False)
 class SlotModes:
@@ -86,7 +104,7 @@ class SlotModes:
 
 @dataclass(frozen=True, eq=False)
 class Intention:
-    """What the network says of every node."""
+    """What the network says of every node; M of the goals and profiles is 1 if of egos only."""
 
     slot_logit: Tensor  # [E, M] log probability, -inf outside the focus group
     goal_log_weight: Tensor  # [E, M, C]
@@ -170,24 +188,33 @@ class SemanticGraphNetwork(nn.Module):
                 dense(known + width + 1, width), nn.Linear(width, self.per_mode + steps)
             )
 
-    def forward(self, batch: GraphBatch) -> Intention:
+    def forward(
+        self, batch: GraphBatch, repeats: Repeats | None = None, egos_only: bool = False
+    ) -> Intention:
+        """With `repeats`, a history is encoded once; with `egos_only`, goals are of node 0 only."""
         if not self.settings.temporal:
             batch = replace(batch, context=batch.context * self.of_now)
         mask = batch.node_mask
-        absolute, relative = self._histories(batch)  # [N, T, 8] of the N nodes there are
         context = self._context(batch)
-        z = self.dropout(self._evolve(absolute, relative, context[:, ROAD_CONTEXT:], mask))
-        known = z
-        if self.settings.context:
-            speed = absolute[:, -1, REAR_MPS : REAR_MPS + 1]
-            ahead = self.road_encoder(torch.cat((context[:, :ROAD_CONTEXT], speed), -1))
-            known = torch.cat((z, ahead), -1)
+        z = self._evolve(batch, context[:, ROAD_CONTEXT:], repeats)
+        z = self.dropout(z)  # [N, width] of the N nodes there are
         utility = self._utility(z, context, batch)
+        # Row by row of the mask: an ego's node comes first among its own.
+        ego = mask.sum(-1).cumsum(0) - mask.sum(-1)
+        asked, row = (batch.of_egos(), ego) if egos_only else (batch, slice(None))
+        known = z[row]
+        if self.settings.context:
+            speed = asked.x[:, :, -1, REAR_MPS : REAR_MPS + 1][asked.node_mask]
+            scaled = speed / self.feature_scale[REAR_MPS]
+            ahead = self.road_encoder(torch.cat((context[row, :ROAD_CONTEXT], scaled), -1))
+            known = torch.cat((known, ahead), -1)
         if self.settings.goal_knows_slots:
-            known = torch.cat((known, self._first(utility.detach(), batch)), -1)
-        return self._intention(self._slots(utility, batch), z, known, batch)
+            known = torch.cat((known, self._first(utility.detach(), batch)[row]), -1)
+        known_of_ego = known if egos_only else known[ego]
+        return self._intention(self._slots(utility, batch), z, known, known_of_ego, asked, batch)
 
     def _histories(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
+        """Absolute, and relative to the ego's node: [N, T, NODE_FEATURES] each."""
         frames = batch.x.shape[2]
         # Now is always among the frames.
         every = self.settings.history_stride if self.settings.temporal else frames
@@ -201,16 +228,21 @@ class SemanticGraphNetwork(nn.Module):
         """Scaled [N, CONTEXT_SIZE], or [N, 0] without."""
         return (batch.context[batch.node_mask] / self.context_scale)[:, : self.context_size]
 
-    def _evolve(self, absolute: Tensor, relative: Tensor, beside: Tensor, mask: Tensor) -> Tensor:
+    def _evolve(self, batch: GraphBatch, beside: Tensor, repeats: Repeats | None) -> Tensor:
         """The latent evolution z [N, width] of every node."""
+        absolute, relative = self._histories(batch)
+        mask = batch.node_mask
         if self.settings.sequential:
             steps = [
                 self._relate(absolute[:, step], relative[:, step], beside, mask)
                 for step in range(absolute.shape[1])
             ]
             return self.evolution_gru(torch.stack(steps, 1))[1][0]
-        h, h_rel = self.absolute_gru(absolute)[1][0], self.relative_gru(relative)[1][0]
-        return self._relate(h, h_rel, beside, mask)
+        if repeats is None:
+            h = self.absolute_gru(absolute)[1][0]
+        else:
+            h = self.absolute_gru(absolute[repeats.first])[1][0][repeats.history]
+        return self._relate(h, self.relative_gru(relative)[1][0], beside, mask)
 
     def _relate(self, h: Tensor, h_rel: Tensor, beside: Tensor, mask: Tensor) -> Tensor:
         h = self.absolute_encoder(torch.cat((h, beside), -1))
@@ -256,17 +288,24 @@ class SemanticGraphNetwork(nn.Module):
         return tempered(found, self.slot_temperature)
 
     def _intention(
-        self, slot_logit: Tensor, z: Tensor, known: Tensor, batch: GraphBatch
+        self,
+        slot_logit: Tensor,
+        z: Tensor,
+        known: Tensor,
+        known_of_ego: Tensor,
+        asked: GraphBatch,
+        batch: GraphBatch,
     ) -> Intention:
-        mask, count = batch.node_mask, self.settings.components
+        """Goals of the nodes of `asked`, of which so much is `known` [N, width]."""
+        mask, count = asked.node_mask, self.settings.components
         of_node = self.goal_head(known)
         out = known.new_zeros((*mask.shape, of_node.shape[-1]))
         out[mask] = of_node
-        speed = batch.x[:, :, -1, REAR_MPS]
+        now, speed = asked.x[:, :, -1], asked.x[:, :, -1, REAR_MPS]
         steps = out.shape[-1] - count * (2 + self.per_mean)
         weight, means, wide, change = out.split((count, count * self.per_mean, count, steps), -1)
         weight = weight.log_softmax(-1)
-        bases = self._bases_m(batch.x[:, :, -1], batch.context)
+        bases = self._bases_m(now, asked.context)
         mean = _goal_m(bases.unsqueeze(-2), means.unflatten(-1, (count, -1)))
         std = MIN_GOAL_STD_M + GOAL_SCALE_M * nn.functional.softplus(wide - 2.0)
         goal = (weight.exp() * mean).sum(-1)
@@ -277,7 +316,9 @@ class SemanticGraphNetwork(nn.Module):
             goal_mean_m=mean,
             goal_std_m=std * self.goal_temperature,
             profile_m=profile_m(goal, speed, change),
-            modes=self._modes(z, known, goal, change, batch) if self.settings.slot_modes else None,
+            modes=self._modes(z, known_of_ego, goal[:, 0], change[:, 0], batch)
+            if self.settings.slot_modes
+            else None,
         )
         return by_slots(found) if self.settings.goal_by_slots and not self.training else found
 
@@ -298,28 +339,27 @@ class SemanticGraphNetwork(nn.Module):
     def _modes(
         self, z: Tensor, known: Tensor, goal: Tensor, change: Tensor, batch: GraphBatch
     ) -> SlotModes:
+        """From what is `known` [E, width] of egos, their goal [E] and the change of its profile."""
         focus = batch.focus_mask
         several = focus & focus[:, 1:].any(-1, keepdim=True)
         ego, slot = several.nonzero(as_tuple=True)
         padded = z.new_zeros((*focus.shape, z.shape[-1]))
         padded[batch.node_mask] = z
-        # Row by row of the mask: an ego's node comes first among its own.
-        first = batch.node_mask.sum(-1).cumsum(0) - batch.node_mask.sum(-1)
         yields = (slot == 0).to(z.dtype).unsqueeze(-1)
-        out = self.mode_head(torch.cat((known[first[ego]], padded[ego, slot], yields), -1))
+        out = self.mode_head(torch.cat((known[ego], padded[ego, slot], yields), -1))
         now = batch.x[ego, 0, -1]
-        bases = goal[ego, :1].detach()
+        bases = goal[ego].unsqueeze(-1).detach()
         if self.settings.goal_base == "anchors":
             bases = torch.cat((bases, self._bases_m(now, batch.context[ego, 0])), -1)
         crossing = earliest_s(now[:, REAR_M], now[:, REAR_MPS]) + CROSSING_SCALE_S * out[:, 0]
         # Who has no choice has one mode: its own goal, and way to it.
-        goals = torch.zeros_like(goal)
-        goals[:, 0] = goal[:, 0]
-        changes = torch.zeros_like(change)
-        changes[:, 0] = change[:, 0]
-        crossings = torch.zeros_like(goal)
+        goals = goal.new_zeros(focus.shape)
+        goals[:, 0] = goal
+        changes = change.new_zeros((*focus.shape, change.shape[-1]))
+        changes[:, 0] = change
+        crossings = torch.zeros_like(goals)
         goals[ego, slot] = _goal_m(bases, out[:, 1 : self.per_mode])
-        changes[ego, slot] = change[ego, 0].detach() + self._change(out[:, self.per_mode :])
+        changes[ego, slot] = change[ego].detach() + self._change(out[:, self.per_mode :])
         crossings[ego, slot] = nn.functional.softplus(crossing)
         speeds = batch.x[:, :1, -1, REAR_MPS].expand_as(goals)
         return SlotModes(goals, profile_m(goals, speeds, changes), crossings)

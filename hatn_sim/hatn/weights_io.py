@@ -23,7 +23,7 @@ from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, HORIZON_FRAMES
 from hatn_sim.errors import InputError
 from hatn_sim.graph import CONTEXT
 from hatn_sim.hatn import edn as edn_module
-from hatn_sim.hatn import edn_plain, kinematics
+from hatn_sim.hatn import edn_kinematic, edn_plain, kinematics
 from hatn_sim.hatn import sgn as sgn_module
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
@@ -87,15 +87,15 @@ def features() -> dict[str, Any]:
             edn_plain.SPEED_SCALE_MPS,
         ],
         "kinematic_limits": [
-            edn_module.MAX_JERK_MPS3,
-            *edn_module.ACCELERATION_MPS2,
-            edn_module.MAX_SWERVE_PER_M,
-            edn_module.MAX_SLOPE,
-            *edn_module.START_LIMITS,
-            edn_module.BLEND_M,
-            edn_module.BLEND_S,
-            *edn_module.GAP_AT_S,
-            edn_module.GAP_M,
+            edn_kinematic.MAX_JERK_MPS3,
+            *edn_kinematic.ACCELERATION_MPS2,
+            edn_kinematic.MAX_SWERVE_PER_M,
+            edn_kinematic.MAX_SLOPE,
+            *edn_kinematic.START_LIMITS,
+            edn_kinematic.BLEND_M,
+            edn_kinematic.BLEND_S,
+            *edn_kinematic.GAP_AT_S,
+            edn_kinematic.GAP_M,
             kinematics.MAX_CURVATURE_PER_M,
             kinematics.MAX_LATERAL_MPS2,
             kinematics.SLOW_M,
@@ -162,6 +162,8 @@ def load_weights(path: Path) -> Weights:
 
     InputError where it or its card is missing, corrupt, of another format or for other features.
     """
+    if path.is_dir():
+        raise InputError(f"weights {path}: expected a .safetensors file, found a folder")
     card_path = path.with_suffix(".json")
     for needed in (path, card_path):
         if not needed.is_file():

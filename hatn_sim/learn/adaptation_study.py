@@ -6,7 +6,7 @@ over is computed from them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, Frame, IntArray
 from hatn_sim.graph import build_graphs
+from hatn_sim.hatn.adaptation_layer import lineariser_of
 from hatn_sim.hatn.adaptation_memory import (
     MAX_STEPS,
     AdaptationSettings,
@@ -41,6 +42,8 @@ MEASURES: Final = ("ade1", "ade2", "ade3", "ade4", "short", "fde")
 3 s; ADE 2 and 4 of what is predicted from now, over `steps` frames and over 3 s; `short` is over
 0.3 s from now, `fde` after 3 s."""
 SHORT_FRAMES: Final = 3
+TOGETHER: Final = 20
+"""Moments whose predictions are made in one batch."""
 NOBODY: Final[frozenset[str]] = frozenset()
 
 
@@ -126,36 +129,49 @@ def vehicle_errors(
     return VehicleErrors(sums, np.bincount(vehicle, minlength=len(sums)))
 
 
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """Predictions of B vehicles that are to be scored."""
+
+    theta: Tensor  # [B, P]
+    trust: Tensor  # [B]
+    batch: VehicleBatch  # [B]
+    goal_m: Tensor  # [B, G]
+    pose: FloatArray  # [B, 3] x_m, y_m, yaw_rad where it is predicted
+    driven_m: FloatArray  # [B, F, 2] the truth in the map
+
+
 def errors_m(adapter: Adapter, watched: Watched) -> tuple[FloatArray, FloatArray, IntArray]:
     """Displacements [n, 2, F] by step, trained and adapted: from `steps` frames ago, and from now;
     and whose they are [n].
 
     Both of the adapted are by the parameters of now, faded as predictions are.
     """
-    steps = adapter.settings.steps
-    past: list[FloatArray] = [np.zeros((0, 2, HORIZON_FRAMES))]
-    now: list[FloatArray] = [np.zeros((0, 2, HORIZON_FRAMES))]
+    settings = adapter.settings
+    # A few vehicles many times: a program pays. What is scored is predicted in large batches.
+    linearise = lineariser_of(adapter.network, settings.layer, settings.steps, as_program=True)
+    learner = replace(adapter, linearise=linearise)
+    past: list[_Asked] = []
+    now: list[_Asked] = []
     whose: list[IntArray] = [np.zeros(0, dtype=np.int64)]
-    state = first(adapter, watched.moments[0])
+    state = first(learner, watched.moments[0])
     for k, moment in enumerate(watched.moments[1:], start=1):
-        before, state = state, follow(adapter, state, moment, NOBODY)
+        before, state = state, follow(learner, state, moment, NOBODY)
         rows = np.flatnonzero(watched.scored[k])
         if not len(rows):
             continue
-        theta = state.filter.theta[torch.from_numpy(rows)]
+        row = torch.from_numpy(rows)
+        believed = state.filter.theta[row], state.trust()[row]
         pose = np.column_stack((moment.xy_m, moment.yaw_rad))[rows]
         vehicle = watched.vehicle[k][rows]
         ahead = watched.xy_m[vehicle, k + 1 : k + 1 + HORIZON_FRAMES]
-        batch = rows_of(moment.batch, rows)
-        trust = state.trust()[torch.from_numpy(rows)]
-        now.append(_errors(adapter, theta, trust, batch, moment.goal_m[rows], pose, ahead))
+        now.append(_Asked(*believed, rows_of(moment.batch, rows), moment.goal_m[row], pose, ahead))
         was = rows_before(before.moment.ids, moment.ids)[rows]
-        oldest = _oldest(before, was)
-        start = k - steps + 1
+        start = k - settings.steps + 1
         driven = watched.xy_m[vehicle, start : start + HORIZON_FRAMES]
-        past.append(_errors(adapter, theta, trust, *oldest, before.pose[was, 0], driven))
+        past.append(_Asked(*believed, *_oldest(before, was), before.pose[was, 0], driven))
         whose.append(vehicle)
-    return np.concatenate(past), np.concatenate(now), np.concatenate(whose)
+    return _errors(adapter, past), _errors(adapter, now), np.concatenate(whose)
 
 
 def _oldest(state: AdaptationState, rows: IntArray) -> tuple[VehicleBatch, Tensor]:
@@ -166,23 +182,35 @@ def _oldest(state: AdaptationState, rows: IntArray) -> tuple[VehicleBatch, Tenso
     ]
 
 
-def _errors(
-    adapter: Adapter,
-    theta: Tensor,
-    trust: Tensor,
-    batch: VehicleBatch,
-    goal_m: Tensor,
-    pose: FloatArray,
-    driven_m: FloatArray,
-) -> FloatArray:
-    """Displacements [B, 2, F] from `driven_m` [B, F, 2] of the map, predicted at `pose` [B, 3]."""
-    with torch.inference_mode():
-        trained, adapted = (
-            adapter.decode(own, batch, goal_m)
-            for own in (adapter.prior.expand(len(theta), -1), theta)
+def _errors(adapter: Adapter, asked: Sequence[_Asked]) -> FloatArray:
+    """Displacements [n, 2, F] of everything asked."""
+    found = [np.zeros((0, 2, HORIZON_FRAMES))]
+    for some in _gathered(asked):
+        with torch.inference_mode():
+            trained, adapted = (
+                adapter.decode(theta, some.batch, some.goal_m)
+                for theta in (adapter.prior.expand(len(some.theta), -1), some.theta)
+            )
+            adapted = trained + faded(adapter, some.trust[:, None, None] * (adapted - trained))
+        truth = to_vehicle_frame(some.driven_m, some.pose[:, :2], some.pose[:, 2])
+        said = torch.stack((trained, adapted), 1).double().numpy()
+        found.append(np.linalg.norm(said - truth[:, None], axis=-1))
+    return np.concatenate(found)
+
+
+def _gathered(asked: Sequence[_Asked]) -> Iterator[_Asked]:
+    """The same, `TOGETHER` moments as one."""
+    for begin in range(0, len(asked), TOGETHER):
+        some = asked[begin : begin + TOGETHER]
+        yield _Asked(
+            torch.cat([one.theta for one in some]),
+            torch.cat([one.trust for one in some]),
+            VehicleBatch(
+                torch.cat([one.batch.history for one in some]),
+                torch.cat([one.batch.line for one in some]),
+                torch.cat([one.batch.at for one in some]),
+            ),
+            torch.cat([one.goal_m for one in some]),
+            np.concatenate([one.pose for one in some]),
+            np.concatenate([one.driven_m for one in some]),
         )
-        adapted = trained + faded(adapter, trust[:, None, None] * (adapted - trained))
-    truth = to_vehicle_frame(driven_m, pose[:, :2], pose[:, 2])
-    said = torch.stack((trained, adapted), 1).double().numpy()
-    distance: FloatArray = np.linalg.norm(said - truth[:, None], axis=-1)
-    return distance

@@ -29,7 +29,7 @@ from hatn_sim.learn.split import Traffic
 from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.recordings.each import own_cases, own_files
 from hatn_sim.resources import PACKAGE_DIR
-from hatn_sim.simulators.sumo_config import FILE_OPTIONS, read_sumocfg
+from hatn_sim.simulators.sumo_config import named_files, read_sumocfg
 
 LARGEST_BYTES: Final = 20 * 2**30
 """Of the folder: beyond that, those not used for longest go."""
@@ -171,16 +171,14 @@ def _files_of(scenario: Scenario) -> Iterator[Path]:
         if source.map_path is not None:
             yield source.map_path
     elif scenario.highway is None:
-        # What a .sumocfg names may include other files beside it; what it writes is no part of it.
-        folder = scenario.config_path.parent
-        options = read_sumocfg(scenario.config_path)
-        written = {folder / value for name, value in options.items() if "output" in name}
-        yield from (path for path in sorted(folder.iterdir()) if path not in written)
-        yield from (
-            folder / name.strip()
-            for key in FILE_OPTIONS
-            for name in options.get(key, "").split(",")
-        )
+        # What a .sumocfg names may include other files beside it; what it writes is no part of it,
+        # nor is what a user keeps there besides, such as weights and logs of their training.
+        config = scenario.config_path
+        beside = sorted(path for path in config.parent.iterdir() if ".xml" in path.suffixes)
+        options = read_sumocfg(config)
+        written = {config.parent / value for name, value in options.items() if "output" in name}
+        yield from (path for path in (config, *beside) if path not in written)
+        yield from named_files(config)
         yield from scenario.driver_paths
 
 

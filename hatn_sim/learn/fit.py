@@ -100,7 +100,7 @@ def fit(
         The figures of the best epoch.
 
     Raises:
-        LossError: the loss is not finite; says at which step.
+        LossError: the loss is not finite; says at which step. Or the figure never was.
         InputError: a checkpoint cannot be written, or is of something else.
     """
     model.to(place.device)
@@ -147,6 +147,9 @@ def fit(
         )
         _save(place, name, parts, state)
     _give_best(model, state)
+    if not state.best:
+        line = f"training {name}: {judged_by} was never finite: train with a smaller learning_rate"
+        raise LossError(line, model, 0, state.best)
     return state.best
 
 

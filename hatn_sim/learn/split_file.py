@@ -23,6 +23,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from hatn_sim.config import seed_numbers
 from hatn_sim.errors import InputError, nearest
 from hatn_sim.learn.split import (
     DURATION_S,
@@ -74,17 +75,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: expected UTF-8 text; save the file as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}; correct the file") from None
-
-
-def spans(text: str, where: str) -> tuple[int, ...]:
-    """Seeds of `1-4,9`. Raises InputError."""
-    found: list[int] = []
-    for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not (first.isdecimal() and (last.isdecimal() or not dash)):
-            raise InputError(f"{where}: expected seeds like 7, 1-12 or 1-4,9, found {text!r}")
-        found += range(int(first), int(last or first) + 1)
-    return tuple(dict.fromkeys(found))
 
 
 def _traffic(path: Path, where: str, table: Any) -> list[Traffic]:
@@ -163,7 +153,7 @@ class _Values:
             return (value,)
         if not isinstance(value, str):
             raise self._wrong(key, 'seeds like 7, "1-12" or [1, 5]', value)
-        return spans(value, f"{self._where}: {key}")
+        return seed_numbers(value, f"{self._where}: {key}: ")
 
     def _wrong(self, key: str, expected: str, found: Any) -> InputError:
         if found is None:

@@ -28,10 +28,10 @@ import numpy as np
 
 from hatn_sim.errors import HatnSimError, InputError, nearest
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
-from hatn_sim.learn.fit import Figures, LossError, Workplace
+from hatn_sim.learn.fit import Figures, LossError
 from hatn_sim.learn.settings import SECTIONS, TrainingSettings, changed, check_key
 from hatn_sim.learn.split_file import read_toml
-from hatn_sim.learn.train import TrainingPlan, collect, described, fit_edn, fit_sgn
+from hatn_sim.learn.train import TrainingPlan, begin_work, collect, described, fit_edn, fit_sgn
 from hatn_sim.learn.watch import Watch
 
 KEYS: Final = ("draws", "seed", "judged_by")
@@ -128,12 +128,12 @@ def run_sweep(
     wanted = list(trials(sweep))
     if len(wanted) > MOST_TRIALS:
         raise InputError(f"{len(wanted):,} combinations to try; name fewer, or give draws = N")
+    place = begin_work(plan, done_path, _Counted(watch))
     mark = _mark(plan, basis)
     done = _read_done(done_path, mark)
     if all(_line_of(values) in done for values in wanted):
         return [done[_line_of(values)] for values in wanted]
     learn, tune = collect(plan, watch)
-    place = Workplace(plan.seed, watch=_Counted(watch))
     known: dict[object, tuple[SemanticGraphNetwork, Figures]] = {}
 
     def figures_of(settings: TrainingSettings) -> Figures:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -12,7 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as tensor_bytes
 
 import hatn_sim
 from hatn_sim.errors import HatnSimError, InputError
@@ -39,6 +41,8 @@ PLAN_FILE: Final = "plan.json"
 LINES: Final = "line_choice"
 """In plan and card: of the choice of lines fitted to the sites; None: that which ships."""
 LINES_FILE: Final = "line_choice.safetensors"
+STOPPED: Final = "stopped"
+"""In a card: how the loss was lost; the weights are those of an epoch before."""
 OF_FORM: Final = {"hatn": "", "paper": "-paper"}
 """What the name of a form's weights ends in."""
 
@@ -68,9 +72,7 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
         HatnSimError: traffic fails, or a loss is lost; see `LossError`.
     """
     watch = watch or Nobody()
-    place = Workplace(plan.seed, _device(plan), progress_folder(out), watch)
-    make_folder(out)
-    torch.set_num_threads(1)  # two are slower at this size
+    place = replace(begin_work(plan, out, watch), progress=progress_folder(out))
     going_on = _goes_on(plan, out)
     site = _kept_choice(out) if going_on else fit_to_sites(plan.split, _workers(plan), watch)
     choice = None if site is None else site.choice
@@ -80,8 +82,8 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
     cards: dict[str, dict[str, Any]] = {}
     for form, settings in plan.forms.items():
         path = weights_path(out, form)
-        if going_on and path.exists():
-            cards[form] = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        if going_on and (done := _finished_card(path)) is not None:
+            cards[form] = done
             continue
         name = form if len(plan.forms) > 1 else ""
         card = _card(plan, form, settings, len(learn), len(tune), site)
@@ -112,8 +114,7 @@ def _train_form(
         if not lost.epoch or place.progress is None:
             raise
         kept = place.progress / f"{path.stem}-sgn.safetensors"
-        weights = lost.model.state_dict()
-        write_whole(kept, lambda file: save_file(weights, file))
+        _write(kept, tensor_bytes(lost.model.state_dict()))
         raise HatnSimError(f"{lost}, in {kept}") from None
     try:
         edn, more = fit_edn(learn, tune, sgn, settings, place, name)
@@ -121,12 +122,17 @@ def _train_form(
         if not lost.epoch:
             raise
         assert isinstance(lost.model, EncoderDecoderNetwork)
-        stopped = {"tune_figures": figures | lost.figures, "stopped": str(lost)}
+        stopped = {"tune_figures": _known(figures | lost.figures), STOPPED: str(lost)}
         save(sgn, lost.model, {**card, **stopped})
         raise HatnSimError(f"{lost}, in {path}") from None
-    whole = {**card, "tune_figures": figures | more}
+    whole = {**card, "tune_figures": _known(figures | more)}
     save(sgn, edn, whole)
     return whole
+
+
+def _known(figures: Figures) -> Figures:
+    """Without those that the tuning samples tell nothing of."""
+    return {name: value for name, value in figures.items() if math.isfinite(value)}
 
 
 def collect(plan: TrainingPlan, watch: Watch) -> tuple[Samples, Samples]:
@@ -207,9 +213,9 @@ def _goes_on(plan: TrainingPlan, out: Path) -> bool:
     if path.is_file():
         try:
             theirs: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
-            theirs = {}
-        other = [key for key in ours if theirs.get(key) != ours[key]]
+            other = [key for key in ours if theirs.get(key) != ours[key]]
+        except (ValueError, AttributeError):  # no JSON, or no object
+            other = list(ours)
         if other:
             raise InputError(
                 f"{folder}: is of a training with other {', '.join(other)}; remove the folder to "
@@ -225,14 +231,25 @@ def _goes_on(plan: TrainingPlan, out: Path) -> bool:
     return False
 
 
+def _finished_card(path: Path) -> dict[str, Any] | None:
+    """The card of weights that are trained to the end; None: not there, or their loss was lost."""
+    if not path.exists():
+        return None
+    card: dict[str, Any] = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    return None if STOPPED in card else card
+
+
 def _begin(plan: TrainingPlan, out: Path, site: SiteChoice | None) -> None:
     path = progress_folder(out) / PLAN_FILE
     text = json.dumps({**described(plan), LINES: None if site is None else site.card})
+    if site is not None:
+        _write(path.with_name(LINES_FILE), tensor_bytes(choice_tensors(site.choice)))
+    _write(path, text.encode())
+
+
+def _write(path: Path, data: bytes) -> None:
     try:
-        if site is not None:
-            tensors = choice_tensors(site.choice)
-            write_whole(path.with_name(LINES_FILE), lambda file: save_file(tensors, file))
-        write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
+        write_whole(path, lambda file: file.write_bytes(data))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written: {error.strerror}; make room, or choose another --out"
@@ -268,12 +285,18 @@ def described(plan: TrainingPlan) -> dict[str, Any]:
     }
 
 
-def _device(plan: TrainingPlan) -> torch.device:
+def begin_work(plan: TrainingPlan, out: Path, watch: Watch) -> Workplace:
+    """Where a plan is carried out, without checkpoints; the folder of `out` is made.
+
+    Raises InputError where seed, device or folder are unfit.
+    """
     if not 0 <= plan.seed <= MAX_SEED:
         raise InputError(f"--torch-seed {plan.seed}: expected 0 or more, and less than 2^64")
     if plan.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no such device here; leave it out")
-    return torch.device(plan.device)
+    make_folder(out)
+    torch.set_num_threads(1)  # two are slower at this size
+    return Workplace(plan.seed, torch.device(plan.device), watch=watch)
 
 
 def _check_samples(part: str, samples: Samples, pieces: int) -> None:

@@ -8,20 +8,15 @@
 | `tracks/`, `frames/` | all that a camera saw: `Scene`, in float64 |
 | `truth/` | what only the simulator knows; closed to predictors |
 | `predictions/NAME/` | what each predictor said of every vehicle |
+| `road.json.gz`, `line_choice.json` | the lanes; how lines were chosen, if not as everywhere |
 | `scores.json` | the scores, once they have been computed |
 
 Tables are Parquet parts of `PART_FRAMES` frames each, so a killed run loses at most the last part.
 """
 
-from hatn_sim.log.reader import (
-    Event,
-    PredictionTable,
-    Run,
-    SuggestionChange,
-    TrackTable,
-    read_run,
-)
+from hatn_sim.log.reader import Run, read_run
 from hatn_sim.log.schema import PART_FRAMES, SCHEMA_VERSION
+from hatn_sim.log.tables import Event, PredictionTable, SuggestionChange, TrackTable
 from hatn_sim.log.writer import RunWriter
 
 __all__ = [

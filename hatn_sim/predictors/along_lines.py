@@ -2,17 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import BoolArray, FloatArray, Prediction
-from hatn_sim.perception import PerceptionState
+from hatn_sim.datatypes import BoolArray, FloatArray, Prediction, Route, Scene
+from hatn_sim.perception import Perception, PerceptionState, begin, perceive
 from hatn_sim.predictors.free_motion import TIMES_S, continued_xy_m
-from hatn_sim.predictors.present import Present
+from hatn_sim.predictors.present import Present, present_motion
+from hatn_sim.road import Road
+
+Travel = Callable[[Road, Perception, Present], FloatArray]
+"""A rule: how far vehicles travel along their lines [N, F], of no meaning for those on none."""
 
 TO_LINE_S: Final = 0.7
 """Until about then a vehicle moves on as it moves now, from then on as its line leads."""
+
+
+class LineFollower:
+    """A predictor: everybody drives along the own line, as far as a rule says."""
+
+    def __init__(self, name: str, travel: Travel) -> None:
+        self.name = name
+        self._travel = travel
+
+    def init(self, road: Road) -> PerceptionState:
+        return begin(road)
+
+    def observe(
+        self,
+        state: PerceptionState,
+        scene: Scene,
+        routes: tuple[Route | None, ...] | None = None,
+    ) -> PerceptionState:
+        return perceive(state, scene, routes)
+
+    def predict(self, state: PerceptionState) -> Prediction:
+        now = present_motion(state.seen.tracks)
+        return along_lines(state, now, self._travel(state.road, state.seen, now))
 
 
 def along_lines(state: PerceptionState, now: Present, travel_m: FloatArray) -> Prediction:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, FloatArray, Prediction, Route, Scene
+from hatn_sim.datatypes import FloatArray, Prediction, Route, Scene
+from hatn_sim.predictors.free_motion import TIMES_S
 from hatn_sim.road import Road
-
-TIMES_S: Final = DT_S * np.arange(1, HORIZON_FRAMES + 1)
 
 
 def extrapolate(scene: Scene) -> FloatArray:
-    """Positions [N, F, 2] at constant velocity: also the fallback for vehicles on no line."""
+    """Positions [N, F, 2] at constant velocity."""
     heading = np.stack((np.cos(scene.yaw_rad), np.sin(scene.yaw_rad)), axis=1)
     step = heading * scene.speed_mps[:, None]
     return scene.xy_m[:, None] + step[:, None] * TIMES_S[:, None]

@@ -13,43 +13,43 @@ from hatn_sim.plugins import make_from_module
 from hatn_sim.resources import weights_dir
 
 
-def _constant_velocity(weights: Path | None) -> Predictor:
+def _constant_velocity() -> Predictor:
     from hatn_sim.predictors.constant_velocity import ConstantVelocity
 
     return ConstantVelocity()
 
 
-def _constant_acceleration(weights: Path | None) -> Predictor:
-    from hatn_sim.predictors.constant_acceleration import ConstantAcceleration
+def _constant_acceleration() -> Predictor:
+    from hatn_sim.predictors.constant_acceleration import constant_acceleration
 
-    return ConstantAcceleration()
+    return constant_acceleration()
 
 
-def _constant_turn_rate(weights: Path | None) -> Predictor:
+def _constant_turn_rate() -> Predictor:
     from hatn_sim.predictors.constant_turn_rate import ConstantTurnRate
 
     return ConstantTurnRate()
 
 
-def _idm(weights: Path | None) -> Predictor:
-    from hatn_sim.predictors.idm import IntelligentDriverModel
+def _idm() -> Predictor:
+    from hatn_sim.predictors.idm import intelligent_driver_model
 
-    return IntelligentDriverModel()
-
-
-def _fsm_d(weights: Path | None) -> Predictor:
-    from hatn_sim.predictors.fsm import CloserBy, FiniteStateMachine
-
-    return FiniteStateMachine(CloserBy.DISTANCE)
+    return intelligent_driver_model()
 
 
-def _fsm_t(weights: Path | None) -> Predictor:
-    from hatn_sim.predictors.fsm import CloserBy, FiniteStateMachine
+def _fsm_d() -> Predictor:
+    from hatn_sim.predictors.fsm import CloserBy, finite_state_machine
 
-    return FiniteStateMachine(CloserBy.TIME)
+    return finite_state_machine(CloserBy.DISTANCE)
 
 
-PREDICTORS: Final[dict[str, Callable[[Path | None], Predictor]]] = {
+def _fsm_t() -> Predictor:
+    from hatn_sim.predictors.fsm import CloserBy, finite_state_machine
+
+    return finite_state_machine(CloserBy.TIME)
+
+
+PREDICTORS: Final[dict[str, Callable[[], Predictor]]] = {
     "constant_velocity": _constant_velocity,
     "constant_acceleration": _constant_acceleration,
     "constant_turn_rate": _constant_turn_rate,
@@ -79,7 +79,7 @@ def load_predictor(
     if name in READS_WEIGHTS:
         return _network(name, weights_of(name, weights), adapt, unadapted)
     if name in PREDICTORS:
-        return PREDICTORS[name](weights)
+        return PREDICTORS[name]()
     if ":" not in name:
         raise InputError(
             f"unknown predictor {name!r}{nearest(name, (*READS_WEIGHTS, *PREDICTORS))} "
@@ -104,6 +104,11 @@ def _network(name: str, weights: Path, adapt: str, unadapted: frozenset[str]) ->
     return AdaptiveHatn(hatn, settings, unadapted)
 
 
+def paper_beside(weights: Path) -> Path:
+    """Where the paper's form has its weights, if `weights` are those of `hatn`."""
+    return weights.parent / f"{weights.stem}-paper{weights.suffix}"
+
+
 def weights_of(name: str, weights: Path | None) -> Path:
     """The weight file of a network.
 
@@ -112,7 +117,6 @@ def weights_of(name: str, weights: Path | None) -> Path:
     """
     if weights is not None and name != PAPER:
         return weights
-    beside = None if weights is None else weights.with_stem(f"{weights.stem}-paper")
-    if beside is not None and beside.is_file():
+    if weights is not None and (beside := paper_beside(weights)).is_file():
         return beside
     return weights_dir() / f"{name}.safetensors"

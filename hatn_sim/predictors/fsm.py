@@ -16,12 +16,12 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import BoolArray, ConflictType, Prediction, Route, Scene
+from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray
 from hatn_sim.graph import Active, active_conflicts, next_gates
-from hatn_sim.perception import Perception, PerceptionState, begin, perceive
-from hatn_sim.predictors.along_lines import along_lines
+from hatn_sim.perception import Perception
+from hatn_sim.predictors.along_lines import LineFollower
 from hatn_sim.predictors.car_following import Meetings, roll_out
-from hatn_sim.predictors.present import Present, present_motion
+from hatn_sim.predictors.present import Present
 from hatn_sim.road import Road
 
 SLOWEST_MPS: Final = 0.1
@@ -36,28 +36,13 @@ class CloserBy(Enum):
     TIME = "fsm_t"
 
 
-class FiniteStateMachine:
+def finite_state_machine(closer_by: CloserBy) -> LineFollower:
     """Follows the leader, or the closest vehicle that will be first at a conflict."""
 
-    def __init__(self, closer_by: CloserBy) -> None:
-        self.closer_by = closer_by
-        self.name = closer_by.value
+    def travel(road: Road, seen: Perception, now: Present) -> FloatArray:
+        return roll_out(road, seen, now, find_meetings(road, seen, now, closer_by))
 
-    def init(self, road: Road) -> PerceptionState:
-        return begin(road)
-
-    def observe(
-        self,
-        state: PerceptionState,
-        scene: Scene,
-        routes: tuple[Route | None, ...] | None = None,
-    ) -> PerceptionState:
-        return perceive(state, scene, routes)
-
-    def predict(self, state: PerceptionState) -> Prediction:
-        now = present_motion(state.seen.tracks)
-        meetings = find_meetings(state.road, state.seen, now, self.closer_by)
-        return along_lines(state, now, roll_out(state.road, state.seen, now, meetings))
+    return LineFollower(closer_by.value, travel)
 
 
 def find_meetings(road: Road, seen: Perception, now: Present, closer_by: CloserBy) -> Meetings:

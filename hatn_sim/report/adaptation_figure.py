@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.report.figures import dress, head_chart, new_chart, rule, save_figure
 
 TRAINED: Final = "#8a8f98"
 ADAPTED: Final = "#0072b2"
@@ -60,8 +59,7 @@ class Row(Protocol):
 def draw_steps(scenes: Mapping[str, Sequence[Row]], paths: Sequence[Path]) -> None:
     """Errors with and without adaptation over the steps, a row of four panels for each scene."""
     size = (PANEL_IN[0] * len(TITLES), EDGES_IN + PANEL_IN[1] * len(scenes))
-    figure = Figure(figsize=size, dpi=160, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(size)
     grid = figure.subplots(len(scenes), len(TITLES), squeeze=False, sharex=True)
     for row, (scene, results) in zip(grid, scenes.items(), strict=True):
         results = sorted(results, key=lambda result: result.steps)
@@ -74,15 +72,14 @@ def draw_steps(scenes: Mapping[str, Sequence[Row]], paths: Sequence[Path]) -> No
         axes.set_xlabel("steps looked back (0.1 s)", color=INK, fontsize=9)
     handles, labels = grid[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8.5)
-    _title(figure, "Prediction error without and with online adaptation")
-    _save(figure, paths)
+    head_chart(figure, "Prediction error without and with online adaptation", 11.5)
+    save_figure(figure, paths)
 
 
 def draw_layers(scenes: Mapping[str, Sequence[Row]], paths: Sequence[Path]) -> None:
     """Change of ADE 2 over the steps, a line for each layer and a panel for each scene."""
     size = (max(1.35 * PANEL_IN[0] * len(scenes), LEAST_WIDTH_IN), EDGES_IN + 1.4 * PANEL_IN[1])
-    figure = Figure(figsize=size, dpi=160, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(size)
     grid = figure.subplots(1, len(scenes), squeeze=False, sharey=True)[0]
     for axes, (scene, results) in zip(grid, scenes.items(), strict=True):
         for (layer, name), colour, marker in zip(LAYERS.items(), COLOURS, MARKERS, strict=True):
@@ -102,12 +99,13 @@ def draw_layers(scenes: Mapping[str, Sequence[Row]], paths: Sequence[Path]) -> N
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         axes.set_title(scene, loc="left", fontsize=9.5, color=INK)
         axes.set_xlabel("steps looked back (0.1 s)", color=INK, fontsize=9)
-        _tidy(axes)
+        dress(axes, 8)
+        rule(axes)
     grid[0].set_ylabel("change of ADE 2", color=INK, fontsize=9)
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(LAYERS), fontsize=8.5)
-    _title(figure, "Change of the short-term error by the layer that is adapted")
-    _save(figure, paths)
+    head_chart(figure, "Change of the short-term error by the layer that is adapted", 11.5)
+    save_figure(figure, paths)
 
 
 def _errors(axes: Axes, results: Sequence[Row], measure: str) -> None:
@@ -130,23 +128,5 @@ def _errors(axes: Axes, results: Sequence[Row], measure: str) -> None:
         )
     axes.set_ylim(0.0, 1.2 * axes.get_ylim()[1])
     axes.set_xticks(steps)
-    _tidy(axes)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.tick_params(colors=SOFT_INK, labelsize=8)
-    axes.grid(axis="y", color="#e3e3df", lw=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-
-
-def _title(figure: Figure, text: str) -> None:
-    figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, color=INK)
-
-
-def _save(figure: Figure, paths: Sequence[Path]) -> None:
-    for path in paths:
-        # Without the versions and dates that would change the bytes.
-        stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
-        figure.savefig(path, metadata=stamps)
+    dress(axes, 8)
+    rule(axes)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.datatypes import DT_S
-from hatn_sim.labels import NEXT_FRAMES
+from hatn_sim.labels import NEXT_FRAMES, crossing_frame
 from hatn_sim.report.cases import Case
 from hatn_sim.report.moment import Moment
 
@@ -115,7 +115,7 @@ def panel_words(case: Case, cast: Mapping[str, Part], frame: int) -> Words:
     said = f"{_does(likeliest, case, cast)} ({100.0 * chance:.0f} %)."
     said = said[0].upper() + said[1:]
     if not choices.known[row]:
-        return Words(said, _unsettled(case, frame), False)
+        return Words(said, _unsettled(case, row), False)
     taken = int(choices.node[row, choices.taken[row]])
     first = _goes_first(case, row) if taken == case.ego else None
     whom = "" if first is None or ids[first] not in cast else cast[ids[first]].name
@@ -136,14 +136,21 @@ def _name(vehicle: int, case: Case, cast: Mapping[str, Part]) -> str:
     return case.run.ids[vehicle] if part is None else part.name
 
 
-def _unsettled(case: Case, frame: int) -> str:
-    soon = any(
-        one.crossed_frame is not None and frame <= one.crossed_frame <= frame + NEXT_FRAMES
-        for one in case.encounters
-        if one.first_frame <= frame
+def _unsettled(case: Case, row: int) -> str:
+    """Why nobody can say which slot was taken at this row."""
+    choices = case.choices
+    met = np.flatnonzero(choices.focus[row, 1:]) + 1
+    crosses = crossing_frame(
+        case.run.trajectories,
+        np.full(len(met), case.ego),
+        np.full(len(met), choices.frame[row]),
+        choices.ego_m[row, met],
+        choices.conflict_xy_m[row, met],
+        NEXT_FRAMES,
     )
-    seconds = f"{NEXT_FRAMES * DT_S:.0f} s"
-    return "It went; nobody followed soon." if soon else f"Nobody crossed within {seconds}."
+    if (crosses >= 0).any():
+        return "It went; nobody was seen to follow soon."
+    return f"Nobody was seen to cross within {NEXT_FRAMES * DT_S:.0f} s."
 
 
 def _goes_first(case: Case, row: int) -> int | None:

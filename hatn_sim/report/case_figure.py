@@ -24,6 +24,7 @@ from hatn_sim.report.case_graph import draw_graph
 from hatn_sim.report.case_legend import draw_legend
 from hatn_sim.report.case_map import MapView, draw_map, open_view
 from hatn_sim.report.cases import Case
+from hatn_sim.report.figures import save_figure
 from hatn_sim.report.moment import Moment, read_moments
 from hatn_sim.report.picture import camera
 
@@ -75,10 +76,7 @@ def draw_case(case: Case, paths: Sequence[Path]) -> None:
         top = height_in - HEADER_IN - (k // columns) * row_in
         _draw_panel(page, case, k, (left, top), map_in, moment, view, cast)
     draw_legend(page, (MARGIN_IN, WIDTH_IN - MARGIN_IN), FOOTER_IN, views[0].points_per_m)
-    for path in paths:
-        # Without the versions and dates that would change the bytes.
-        stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
-        figure.savefig(path, metadata=stamps, facecolor=PAPER)
+    save_figure(figure, paths, facecolor=PAPER)
 
 
 def _columns(panels: int) -> int:

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import IntArray
+from hatn_sim.datatypes import DT_S, IntArray
 from hatn_sim.errors import InputError
 from hatn_sim.labels import FOLLOW_FRAMES
 from hatn_sim.log import Run
@@ -238,7 +238,7 @@ def _value(choices: Choices, ego: int, told: _Told) -> float:
     last = [span[choices.known[span]][-1] for span in spans if choices.known[span].any()]
     crossed = told.encounters[-1].crossed_frame
     stop = told.encounters[-1].last_frame if crossed is None else crossed
-    seconds = 0.1 * (stop - told.first)
+    seconds = DT_S * (stop - told.first)
     travelled = choices.run.trajectories.travelled_at(ego, np.array([told.first, stop]))
     whom = {v for one in told.encounters for v in (*one.let_go, *one.passed)}
     swing = [float(np.ptp(choices.yields[span])) for span in spans]

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Final
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.report.canvas import INK
+from hatn_sim.report.figures import dress, head_chart, new_chart, save_figure
 from hatn_sim.score.density import CRITERIA, Density, counts_of, histogram, summarise
 
 TITLES: Final = {
@@ -41,8 +40,7 @@ def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> Non
     The first panel has an axis of its own, the other three of a row share theirs.
     """
     rows = len(densities)
-    figure = Figure(figsize=(WIDTH_IN, EDGES_IN + ROW_IN * rows), dpi=160, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart((WIDTH_IN, EDGES_IN + ROW_IN * rows))
     figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr]
     grid = figure.subplots(rows, len(CRITERIA), squeeze=False)
     for row, (label, density) in zip(grid, densities.items(), strict=True):
@@ -70,26 +68,15 @@ def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> Non
         axes.set_title(TITLES[criterion], loc="left", fontsize=10.5, color=INK)
     for axes in grid[-1]:
         axes.set_xlabel("interacting vehicles", color=INK)
-    figure.suptitle(
-        "Vehicles that interact with an ego, chosen by four criteria",
-        x=0.01,
-        ha="left",
-        fontsize=13,
-        color=INK,
-    )
-    for path in paths:
-        # Without the versions and dates that would change the bytes.
-        stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
-        figure.savefig(path, metadata=stamps)
+    head_chart(figure, "Vehicles that interact with an ego, chosen by four criteria", 13)
+    save_figure(figure, paths)
 
 
 def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
     """The histogram of one criterion, with bars for 0 to `last` vehicles."""
     count = counts_of(density, criterion)
     width = bar_width(last)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(colors=SOFT_INK, labelsize=8.5)
+    dress(axes, 8.5)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     axes.set_xlim(-0.75, max(last, 1) // width * width + width - 0.25)

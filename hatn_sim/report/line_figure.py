@@ -13,11 +13,10 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.report.canvas import INK
+from hatn_sim.report.figures import dress, head_chart, new_chart, rule, save_figure
 from hatn_sim.score.line_accuracy import BINS_M, LineSamples, share_by_distance
 
 COLUMNS: Final = 3
@@ -39,8 +38,7 @@ def draw_line_accuracy(samples: Mapping[str, LineSamples], paths: Sequence[Path]
     columns = min(COLUMNS, len(samples))
     rows = math.ceil(len(samples) / columns)
     size = (PANEL_IN[0] * columns, EDGES_IN + PANEL_IN[1] * rows)
-    figure = Figure(figsize=size, dpi=160, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(size)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axes, (label, scene) in zip(grid, samples.items(), strict=False):
         _panel(axes, scene)
@@ -54,17 +52,8 @@ def draw_line_accuracy(samples: Mapping[str, LineSamples], paths: Sequence[Path]
         axes.set_ylabel("right line", color=INK, fontsize=9)
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8.5)
-    figure.suptitle(
-        "Share of vehicle-frames whose inferred line is the simulator's route",
-        x=0.01,
-        ha="left",
-        fontsize=11.5,
-        color=INK,
-    )
-    for path in paths:
-        # Without the versions and dates that would change the bytes.
-        stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
-        figure.savefig(path, metadata=stamps)
+    head_chart(figure, "Share of vehicle-frames whose inferred line is the simulator's route", 11.5)
+    save_figure(figure, paths)
 
 
 def _panel(axes: Axes, samples: LineSamples) -> None:
@@ -88,8 +77,5 @@ def _panel(axes: Axes, samples: LineSamples) -> None:
     axes.set_xlim(-0.5, len(BINS_M) - 0.5)
     axes.set_ylim(0.0, 1.0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    axes.tick_params(colors=SOFT_INK, labelsize=8)
-    axes.grid(axis="y", color="#e3e3df", lw=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    dress(axes, 8)
+    rule(axes)

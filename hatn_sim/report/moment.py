@@ -13,6 +13,7 @@ from hatn_sim.datatypes import HORIZON_FRAMES, FloatArray, Scene, SemanticGraphs
 from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
 from hatn_sim.log import PredictionTable, Run
+from hatn_sim.log.choice_file import read_run_choice
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.perception import PerceptionState, begin, perceive
 from hatn_sim.road import LINE_STEP_M, Road
@@ -99,7 +100,7 @@ def read_moments(run: Run, frames: Sequence[int], ego_id: str) -> Iterator[Momen
     if ego_id not in run.ids:
         raise InputError(f"{run.path}: no vehicle {ego_id!r} in this run; see its tracks for ids")
     table = main_predictions(run)
-    state = begin(Road(read_road(run.path / ROAD_FILE)))
+    state = begin(Road(read_road(run.path / ROAD_FILE)), read_run_choice(run.path))
     start, wanted = max(first - WARM_UP_FRAMES, 0), set(frames)
     for frame, logged in enumerate(islice(run.frames(), start, stop), start=start):
         scene = logged.scene

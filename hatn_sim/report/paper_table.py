@@ -81,7 +81,7 @@ def _side_by_side(scene: str, measures: Sequence[str], entries: Sequence[Entry])
         cells: list[str] = []
         for measure in measures:
             form, entry, (of_paper, of_ours) = FORMS[measure], of_row[measure], best[measure]
-            cells += [_of_paper(entry.paper, form, of_paper), _of_ours(entry.ours, form, of_ours)]
+            cells += [_of_paper(entry.paper, of_paper), _of_ours(entry.ours, form, of_ours)]
         ours = [of_row[measure].ours for measure in measures]
         counts = dict.fromkeys(score.n for score in ours if score is not None and score.n)
         grid.add_row(row.replace("_", " "), *cells, "\n".join(f"{n:,}" for n in counts) or NONE)
@@ -98,26 +98,23 @@ def _best(measure: str, entries: Sequence[Entry]) -> tuple[float | None, float |
     return best(paper, default=None), best(known, default=None)
 
 
-def _of_paper(cell: Cell | None, form: _Form, best: float | None) -> str:
+def _of_paper(cell: Cell | None, best: float | None) -> str:
     if cell is None:
         return NONE
-    star = "*" if cell.mean == best else ""
-    return _number(cell.mean, cell.std, form.factor, cell.decimals) + star
+    return cell.printed + ("*" if cell.mean == best else "")
 
 
 def _of_ours(score: Score | None, form: _Form, best: float | None) -> str:
     if score is None or score.value is None:
         return NONE
     star = "*" if score.value == best else ""
-    text = _number(score.value, score.std, form.factor, form.decimals) + star
+    text = f"{form.factor * score.value:.{form.decimals}f}"
+    if score.std is not None:
+        text += f" ± {form.factor * score.std:.{form.decimals}f}"
+    text += star
     if score.low is not None and score.high is not None:
         low, high = (
             f"{form.factor * value:.{form.decimals}f}" for value in (score.low, score.high)
         )
         text += f"\n[{low} {high}]"
     return text
-
-
-def _number(mean: float, std: float | None, factor: float, decimals: int) -> str:
-    text = f"{factor * mean:.{decimals}f}"
-    return text if std is None else f"{text} ± {factor * std:.{decimals}f}"

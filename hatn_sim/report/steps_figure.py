@@ -12,11 +12,10 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.report.figures import dress, head_chart, new_chart, save_figure
 from hatn_sim.score.steps import StepErrors
 
 COLOURS: Final = (
@@ -55,10 +54,7 @@ def draw_steps(errors: Sequence[StepErrors], paths: Sequence[Path], subset: str 
     scenes = list(dict.fromkeys(one.scene for one in shown)) or [""]
     names = list(dict.fromkeys(one.predictor for one in shown))
     colour = {name: COLOURS[number % len(COLOURS)] for number, name in enumerate(names)}
-    figure = Figure(
-        figsize=(WIDTH_IN, EDGES_IN + ROW_IN * len(scenes)), dpi=160, layout="constrained"
-    )
-    FigureCanvasAgg(figure)
+    figure = new_chart((WIDTH_IN, EDGES_IN + ROW_IN * len(scenes)))
     grid = figure.subplots(len(scenes), 2, squeeze=False)
     for row, scene in zip(grid, scenes, strict=True):
         of_scene = [one for one in shown if one.scene == scene]
@@ -75,17 +71,8 @@ def draw_steps(errors: Sequence[StepErrors], paths: Sequence[Path], subset: str 
             row[0].legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left")
     for axes in grid[-1]:
         axes.set_xlabel("time predicted ahead, s", color=INK)
-    figure.suptitle(
-        f"Error at each predicted step, {SUBSETS[subset]}",
-        x=0.01,
-        ha="left",
-        fontsize=13,
-        color=INK,
-    )
-    for path in paths:
-        # Without the versions and dates that would change the bytes.
-        stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
-        figure.savefig(path, metadata=stamps)
+    head_chart(figure, f"Error at each predicted step, {SUBSETS[subset]}", 13)
+    save_figure(figure, paths)
 
 
 def _curve(axes: Axes, one: StepErrors, colour: str) -> None:
@@ -96,9 +83,7 @@ def _curve(axes: Axes, one: StepErrors, colour: str) -> None:
 
 
 def _dress(axes: Axes, scale: str) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(colors=SOFT_INK, labelsize=8.5)
+    dress(axes, 8.5)
     if scale == "linear":
         axes.set_xlim(0.0, TIMES_S[-1])
         axes.set_ylim(bottom=0.0)

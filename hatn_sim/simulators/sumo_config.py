@@ -44,6 +44,12 @@ def read_sumocfg(path: Path) -> dict[str, str]:
     return options
 
 
+def named_files(path: Path) -> list[Path]:
+    """The net, routes and additional files that a configuration names; some may not be there."""
+    options = read_sumocfg(path)
+    return [path.parent / name for key in FILE_OPTIONS for name in _names(options.get(key, ""))]
+
+
 def check_sumocfg(path: Path) -> None:
     """Raises InputError if the configuration or a file that it names is missing."""
     options = read_sumocfg(path)

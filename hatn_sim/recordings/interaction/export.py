@@ -16,8 +16,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.datatypes import DT_S, IntArray, Kind
-from hatn_sim.log import Run
-from hatn_sim.log.reader import TrackTable
+from hatn_sim.log import Run, TrackTable
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.recordings.interaction.checks import COLUMNS, STEP_MS
 from hatn_sim.recordings.interaction.files import ID_COLUMNS
