@@ -66,7 +66,8 @@ def begin(road: Road, choice: LineChoice | None = None) -> PerceptionState:
     A choice that the road was given by `choose_lines_by` comes before it. The same object for the
     same road and choice, so that predictors share their work.
     """
-    choice = road.shared.get("choice") or choice or shipped_line_choice()
+    of_road: LineChoice | None = road.shared.get("choice")
+    choice = of_road or choice or shipped_line_choice()
     known: dict[LineChoice, PerceptionState] = road.shared.setdefault("begin", {})
     if choice not in known:
         nothing = np.zeros(0)

@@ -23,6 +23,7 @@ SCENES = (
     "roundabout8",
     "roundabout4_two_lane",
 )
+OF_HIGHWAY_ENV = ("highway_intersection", "highway_roundabout")
 
 
 @cache
@@ -47,11 +48,18 @@ def test_accuracy_on_unseen_seeds(scene: str) -> None:
     for subset in ("all", "moving"):
         baseline = value["ade_3s", "constant_velocity", subset]
         assert value["ade_3s", "hatn", subset] <= share * baseline
-        best = min(value["ade_0s3", rule, subset] for rule in RULES)
-        assert value["ade_0s3", "hatn", subset] < best
     assert value["slot_accuracy", "hatn", "all"] >= 0.905
     assert value["slot_macro_f1", "hatn", "all"] >= 0.8
     assert value["slot_ece", "hatn", "all"] <= 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", (*SCENES, *OF_HIGHWAY_ENV))
+def test_the_first_tenths_are_better_than_any_rule(scene: str) -> None:
+    value = values(scene)
+    for subset in ("all", "moving"):
+        best = min(value["ade_0s3", rule, subset] for rule in RULES)
+        assert value["ade_0s3", "hatn", subset] < best
 
 
 @pytest.mark.slow
@@ -60,9 +68,11 @@ def test_accuracy_on_unseen_seeds(scene: str) -> None:
     [
         ("intersection5", 0.5),
         ("intersection4_allway", 0.6),
-        missed("tjunction", "0.603"),
-        missed("roundabout8", "0.613"),
-        missed("roundabout4_two_lane", "0.696 over moving samples"),
+        ("tjunction", 0.6),
+        ("roundabout8", 0.6),
+        ("roundabout4_two_lane", 0.6),
+        missed("highway_intersection", "0.996"),
+        missed("highway_roundabout", "0.939"),
     ],
 )
 def test_error_against_the_best_rule(scene: str, share: float) -> None:
