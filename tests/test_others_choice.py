@@ -26,6 +26,7 @@ from hatn_sim.learn.split import Traffic
 from hatn_sim.learn.watch import Nobody
 from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
 from hatn_sim.log import Run, read_run
+from hatn_sim.log.choice_file import read_run_choice
 from hatn_sim.perception import begin, choose_lines_by
 from hatn_sim.recordings.each import each_recording
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
@@ -234,6 +235,8 @@ def test_evaluate_says_what_chose(site: Path, capsys: pytest.CaptureFixture[str]
     for name in ("000", "001"):
         about = log("fitted", name).header["settings"]["choice_from"]
         assert about["source"] == "tracks" and name not in about["recordings"]
+        drawn_with = read_run_choice(log("fitted", name).path)
+        assert drawn_with is not None and drawn_with.sha256 == about["sha256"]
         assert about["held_out"]["fitted"]["log_loss"] < about["held_out"]["weights"]["log_loss"]
     assert evaluate(site, "--out", "fitted") == 0
     printed = capsys.readouterr()

@@ -236,7 +236,7 @@ def test_a_run_is_drawn_with_the_lines_it_was_made_with(
         assert cli.main(["run", *tracks(site), *one, *words, "--no-picture"]) == 0
         logged = read_run(Path("out"))
     else:
-        words += ["--predictors", "hatn,idm", "--workers", "1"]
+        words += ["--predictors", "hatn,idm", "--workers", "1", "--choice-from", "weights"]
         assert cli.main(["evaluate", *tracks(site), *one, *words]) == 0
         logged = log("out", "000")
     begun: list[LineChoice | None] = []

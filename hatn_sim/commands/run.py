@@ -140,13 +140,14 @@ def main(arguments: argparse.Namespace) -> int:
     )
     drivers = _load_drivers(arguments)
     fitted = _fitted_choice(arguments, scenario, predictors)
+    choice = None if fitted is None else fitted.choice
     header = make_header(arguments, scenario, predictors, choice_header(fitted))
     where = ""
     try:
         with closing(open_traffic(scenario)) as simulator:
             first = simulator.reset(arguments.seed or 0)
-            if fitted is not None and fitted.choice is not None:
-                choose_lines_by(simulator.road, fitted.choice)
+            if choice is not None:
+                choose_lines_by(simulator.road, choice)
             header["settings"]["ids_by"] = ids_by(simulator)
             if not arguments.quiet:
                 for notice in simulator.notices:
@@ -154,7 +155,7 @@ def main(arguments: argparse.Namespace) -> int:
             with RunWriter(out, header) as writer:
                 where = f"; the log up to here is in {out}"
                 write_road(out / ROAD_FILE, simulator.road.lanes.values())
-                write_run_choice(out, predictors[0])
+                write_run_choice(out, predictors[0], choice)
                 done = _simulate(arguments, simulator, first, predictors, drivers, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})

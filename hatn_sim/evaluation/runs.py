@@ -145,7 +145,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
         total = plan.frames
         with RunWriter(plan.out, {**plan.header, "settings": settings}) as writer:
             write_road(plan.out / ROAD_FILE, simulator.road.lanes.values())
-            write_run_choice(plan.out, advisers[0].predictor)
+            write_run_choice(plan.out, advisers[0].predictor, plan.choice)
 
             def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
                 teller.tell(index)

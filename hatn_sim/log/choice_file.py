@@ -1,7 +1,8 @@
 """How a run's main predictor chose reference lines, in a file of the run's folder.
 
-The file is there only where its networks were trained with a choice of their own, fitted to a
-site. Lines are not logged, but worked out again from scenes, lanes and this.
+The file is there only where that is not the choice that ships: its networks were trained with one
+of their own, fitted to a site, or one was fitted to other recordings for all predictors. Lines are
+not logged, but worked out again from scenes, lanes and this.
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ from hatn_sim.line_choice import LineChoice, load_line_choice, save_line_choice
 CHOICE_FILE: Final = "line_choice.json"
 
 
-def write_run_choice(folder: Path, main: Predictor) -> None:
-    """Write the main predictor's choice of lines, if it is not the one that ships."""
-    choice = getattr(getattr(main, "weights", None), "line_choice", None)
+def write_run_choice(folder: Path, main: Predictor, given: LineChoice | None = None) -> None:
+    """Write the main predictor's choice of lines, if it is not the one that ships.
+
+    `given`: the choice for all predictors, in place of their own.
+    """
+    choice = given or getattr(getattr(main, "weights", None), "line_choice", None)
     if choice is not None:
         save_line_choice(folder / CHOICE_FILE, choice, {})
 
