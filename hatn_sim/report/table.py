@@ -52,7 +52,9 @@ NONE = "-"
 
 def scores_json(scores: Sequence[Score]) -> str:
     """A JSON list of objects with the fields of `Score`; no value is null, with n = 0."""
-    return json.dumps([asdict(score) for score in scores], indent=2, allow_nan=False)
+    rows = [asdict(score) for score in scores]
+    told = [{key: v for key, v in row.items() if key != "lines" or v} for row in rows]
+    return json.dumps(told, indent=2, allow_nan=False)
 
 
 def write_scores(folder: Path, scores: Sequence[Score]) -> Path:
