@@ -34,6 +34,7 @@ from hatn_sim.hatn.adaptation_memory import (
     faded,
     first,
     follow,
+    learn,
     rows_of,
 )
 from hatn_sim.hatn.edn import PAPER, EdnSettings, EncoderDecoderNetwork, VehicleBatch
@@ -364,11 +365,31 @@ def test_settings_in_metres_mean_the_same_for_any_layer(layer: Layer) -> None:
 
 
 def test_corrections_count_as_far_as_they_were_right_lately(moments: list[Moment]) -> None:
-    """By hand: right by 3 of 4, minus the caution; by nothing; and before anything was seen."""
+    """By hand, a quarter being nothing: 3 m of 4; none; nothing seen yet; all and more."""
     adapter = adapter_of(network_of(), SETTINGS)
     state = first(adapter, moments[0])
     evidence = torch.tensor([[3.0, 4.0], [-1.0, 4.0], [0.0, 0.0], [9.0, 4.0]])
-    expected = torch.tensor([(3.0 - 0.8) / 4.0, 0.0, 0.0, 1.0])
+    expected = torch.tensor([(3.0 - 0.25 * 4.0) / 0.75 / 4.001, 0.0, 0.0, 1.0])
     torch.testing.assert_close(
         replace(state, evidence=evidence).trust(), expected, rtol=1e-5, atol=0
     )
+
+
+def test_evidence_is_of_what_was_believed_before_it_was_seen(moments: list[Moment]) -> None:
+    """Positions that are the parameters themselves: f(theta) = theta, driven d, then a, now b.
+
+    The forecast of then was moved by a where the trained network missed d: a d / |a| of |a|.
+    """
+    adapter = adapter_of(network_of(), replace(SETTINGS, steps=1))
+    adapter = replace(
+        adapter,
+        prior=torch.zeros(2),
+        linearise=lambda theta, batch, goal_m: (theta, torch.eye(2).expand(len(theta), 2, 2)),
+    )
+    then = torch.tensor([[0.3, 0.4], [0.3, 0.4], [0.0, 0.0]])
+    driven = torch.tensor([[0.6, 0.8], [0.4, -0.3], [1.0, 0.0]])
+    believed = replace(begin(adapter.prior, 3, adapter.filter), theta=torch.full((3, 2), 0.1))
+    batch, goal_m = rows_of(moments[0].batch, np.arange(3)), moments[0].goal_m[:3]
+    seen = torch.tensor([True, True, True])
+    _, evidence = learn(adapter, believed, batch, goal_m, driven[:, None], seen, then)
+    torch.testing.assert_close(evidence, torch.tensor([[1.0, 0.5], [0.0, 0.5], [0.0, 0.0]]))

@@ -138,6 +138,29 @@ def test_a_training_writes_weights_and_a_card_and_repeats_itself(
 
 
 @pytest.mark.usefixtures("few_samples")
+def test_a_training_begins_with_the_weights_it_is_given(tmp_path: Path, split: Split) -> None:
+    """At a rate of next to nothing it ends with them, too; and the card names them."""
+    first = tmp_path / "first.safetensors"
+    train(make_plan(split), first)
+    start = load_weights(first)
+    still = FitSettings(epochs=1, batch=16, learning_rate=1e-9, weight_decay=0.0)
+    settings = replace(SMALL, sgn_fit=still, edn_fit=still)
+    plan = replace(make_plan(split), forms={"hatn": settings}, start=start)
+    cards = train(plan, tmp_path / "second.safetensors")
+    assert cards["hatn"]["start"]["sha256"] == start.sha256
+    assert cards["hatn"]["start"]["split"] == cards["hatn"]["split"] == start.card["split"]
+    after = load_weights(tmp_path / "second.safetensors")
+    for network in ("sgn", "edn"):
+        found = getattr(after, network).state_dict()
+        for name, value in getattr(start, network).state_dict().items():
+            torch.testing.assert_close(found[name], value, atol=1e-4, rtol=1e-3)
+    train(replace(plan, start=None), tmp_path / "third.safetensors")
+    other = load_weights(tmp_path / "third.safetensors")
+    moved = (other.edn.dense2.weight - start.edn.dense2.weight).abs().max()
+    assert float(moved.detach()) > 0.01, "begun with chance, it is another network"
+
+
+@pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize("stopped", [("SGN", 3), ("SGN", 15), ("EDN", 1), ("EDN", 15)])
 def test_a_training_that_was_stopped_goes_on_to_the_same_weights(
     tmp_path: Path, split: Split, cut: Samples, stopped: tuple[str, int]
@@ -292,12 +315,17 @@ TRACKS = ("--tracks", "{sample}/vehicle_tracks_000.csv", "--map", "{sample}/map.
         (("--settings", "{tmp}/c.toml"), "{tmp}/c.toml: unknown table 'fit'; did you mean '"),
         (("--sweep", "{tmp}/d.toml", "--torch-seed", "-1"), "--torch-seed -1: expected 0 or more"),
         (("--sweep", "{tmp}/a.toml"), "{tmp}/a.toml: unknown setting 'sgn.widht'; did you mean "),
+        (("--start-from", "shipped", "--form", "paper"), "--start-from: the paper's form begins "),
+        (("--start-from", "shipped", "--sweep", "d.toml"), "--start-from: a sweep begins with "),
+        (("--start-from", "shipped", "--settings", "{tmp}/e.toml"), "--start-from shipped: its "),
+        (("--start-from", "no.safetensors"), "weights no.safetensors: no file no.safetensors"),
     ],
 )
 def test_words_that_are_wrong(
     tmp_path: Path, refused: Callable[..., str], words: tuple[str, ...], expected: str
 ) -> None:
     (tmp_path / "a.toml").write_text("[sgn]\nwidht = [3]\n")
+    (tmp_path / "e.toml").write_text("[sgn]\nwidth = 32\n")
     (tmp_path / "b.toml").write_text("[edn]\nwidth = 0.5\n")
     (tmp_path / "c.toml").write_text("[fit]\nbatch = 1\n")
     (tmp_path / "d.toml").write_text("[sgn]\nwidth = [8]\n")

@@ -32,6 +32,8 @@ def test_a_card_tells_the_seeds_of_its_scenes() -> None:
     ]  # fmt: skip
     assert not was_seen(card, traffic["train"][-1].scenario, 3)
     assert not was_seen({}, tjunction, 1)
+    begun = {"split": {"train": []}, "start": {**card, "start": None}}
+    assert was_seen(begun, tjunction, 1) and not was_seen(begun, tjunction, 4)
 
 
 def test_a_card_tells_the_recordings_of_its_sites(tmp_path: Path) -> None:

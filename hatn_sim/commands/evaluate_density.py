@@ -180,9 +180,9 @@ def _table(
     )
     table.add_column("chosen by", min_width=25)
     for column in ("mean", "[low high]", "median", "90 %", "maximum", "none", "n"):
-        table.add_column(column.replace("[", r"\["), justify="right", no_wrap=True)
+        table.add_column(column, justify="right", no_wrap=True)
     for summary, (low, high) in zip(summaries, intervals, strict=True):
-        interval = "-" if low is None or high is None else rf"\[{low:.2f} {high:.2f}]"
+        interval = "-" if low is None or high is None else f"[{low:.2f} {high:.2f}]"
         if summary.none_share is None:
             cells = ["-"] * 6
         else:

@@ -156,7 +156,7 @@ def _measures(label: str, scores: Sequence[Score]) -> Table:
         pad_edge=False,
     )
     table.add_column("vehicle-frames", min_width=36)
-    for column in ("share", r"\[low high]", "n"):
+    for column in ("share", "[low high]", "n"):
         table.add_column(column, justify="right", no_wrap=True)
     by_measure = {score.measure: score for score in scores}
     for measure, title in TITLES.items():
@@ -164,7 +164,7 @@ def _measures(label: str, scores: Sequence[Score]) -> Table:
         interval = (
             "-"
             if score.low is None or score.high is None
-            else rf"\[{100.0 * score.low:.1f} {100.0 * score.high:.1f}]"
+            else f"[{100.0 * score.low:.1f} {100.0 * score.high:.1f}]"
         )
         share = "-" if score.value is None else f"{100.0 * score.value:.1f} %"
         table.add_row(title, share, interval, f"{score.n:,}")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from hatn_sim.commands.options import add_lines_from, add_tracks, names, seconds, whole_number
 
 if TYPE_CHECKING:
+    from hatn_sim.hatn.weights_io import Weights
     from hatn_sim.learn.cache import SampleCache
     from hatn_sim.learn.settings import TrainingSettings
     from hatn_sim.learn.split import Split
@@ -74,6 +74,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("hatn", "paper", "both"),
         help="the best networks, the paper's, or both (default: hatn, for --tracks both)",
     )
+    parser.add_argument(
+        "--start-from",
+        metavar="shipped|nothing|FILE",
+        help="weights that networks of the form hatn begin with (default: nothing; for --tracks "
+        "those that ship: much of driving is the same everywhere)",
+    )
     parser.add_argument("--settings", type=Path, metavar="FILE.toml", help="of networks and fits")
     parser.add_argument(
         "--sweep",
@@ -111,9 +117,12 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.learn.train import TrainingPlan, train, weights_path
 
     cache = _cache(arguments)
+    forms = _forms(arguments)
+    start = _start(arguments, forms)
     plan = TrainingPlan(
         split=split,
-        forms=_forms(arguments),
+        forms=forms,
+        start=start,
         seed=arguments.torch_seed,
         device=arguments.device,
         workers=arguments.workers or 0,
@@ -123,6 +132,11 @@ def main(arguments: argparse.Namespace) -> int:
     with TrainProgress(arguments.quiet) as watch:
         if arguments.sweep is not None:
             return _sweep(arguments, plan, watch)
+        if start is not None:
+            watch.say(
+                f"the networks begin with the weights {arguments.start_from} (to begin with none: "
+                "--start-from nothing)"
+            )
         cards = train(plan, out, watch)
         if cache.folder is not None:
             watch.say(f"samples kept in {cache.folder}: {cache.size_bytes() / 1e6:,.0f} MB")
@@ -207,7 +221,7 @@ def _cache(arguments: argparse.Namespace) -> SampleCache:
     return SampleCache(default_folder() if arguments.cache is None else Path(arguments.cache))
 
 
-def _forms(arguments: argparse.Namespace) -> Mapping[str, TrainingSettings]:
+def _forms(arguments: argparse.Namespace) -> dict[str, TrainingSettings]:
     """The settings of every form that was asked for."""
     from hatn_sim.learn.settings import FORMS, read_settings
 
@@ -221,6 +235,42 @@ def _forms(arguments: argparse.Namespace) -> Mapping[str, TrainingSettings]:
     if edn is not None:
         forms = {k: replace(f, edn_fit=replace(f.edn_fit, epochs=edn)) for k, f in forms.items()}
     return forms
+
+
+def _start(arguments: argparse.Namespace, forms: dict[str, TrainingSettings]) -> Weights | None:
+    """The weights to begin with; the settings of `forms` are made to suit them."""
+    from hatn_sim.errors import InputError
+    from hatn_sim.hatn.weights_io import load_weights
+    from hatn_sim.learn.settings import started
+    from hatn_sim.learn.train import STARTED_FORM
+    from hatn_sim.resources import weights_dir
+
+    wanted: str | None = arguments.start_from
+    settings = forms.get(STARTED_FORM)
+    if wanted is not None and wanted != "nothing":
+        if settings is None:
+            raise InputError("--start-from: the paper's form begins with nothing; leave it out")
+        if arguments.sweep is not None:
+            raise InputError("--start-from: a sweep begins with nothing; leave one of them out")
+    by_itself = wanted is None
+    if by_itself:
+        of_people = arguments.tracks is not None and arguments.sweep is None
+        wanted = "shipped" if of_people else "nothing"
+    if wanted == "nothing" or settings is None:
+        return None
+    path = weights_dir() / "hatn.safetensors" if wanted == "shipped" else Path(wanted)
+    start = load_weights(path)
+    if (start.sgn.settings, start.edn.settings) != (settings.sgn, settings.edn):
+        if not by_itself:
+            raise InputError(
+                f"--start-from {wanted}: its networks have other settings than these; "
+                "train with the settings of its card, or with --start-from nothing"
+            )
+        return None
+    arguments.start_from = wanted  # for the card
+    if arguments.settings is None:
+        forms[STARTED_FORM] = started(settings)
+    return start
 
 
 def _sweep(arguments: argparse.Namespace, plan: TrainingPlan, watch: Watch) -> int:

@@ -14,8 +14,11 @@ LEARNT: Final = ("train", "tune")
 def was_seen(card: Mapping[str, Any], scenario: Scenario, seed: int | None) -> bool:
     """Whether a card's split names this traffic: the seed of a scene, or a recording of a site.
 
-    A card knows names only: a recording that was given another one is not found.
+    So may the split of the weights that these began with. A card knows names only: a recording
+    that was given another one is not found.
     """
+    if (start := card.get("start")) is not None and was_seen(start, scenario, seed):
+        return True
     split: Mapping[str, Any] = card.get("split", {})
     entries = [entry for part in LEARNT for entry in split.get(part, ())]
     if scenario.recorded is None:

@@ -58,9 +58,9 @@ BAND_MPS2: Final = 2.0
 MEMORY: Final = 0.97
 """What counts of the evidence of a frame ago: about the last three seconds speak."""
 DOUBT_M: Final = 1e-3
-"""Corrections of increments prove nothing before they add up to more than this."""
-CAUTION: Final = 0.2
-"""Corrections that are right by no more than this share are none: it may be chance."""
+"""Corrections prove nothing before they add up to more than this."""
+CAUTION: Final = 0.25
+"""Corrections that are right by no more than this share of them are none: it may be chance."""
 MAX_CHANGE_M: Final = 1.0
 """Parameters move no further than what moves a steady vehicle by this."""
 
@@ -86,7 +86,7 @@ class AdaptationSettings:
 
 def default_settings(network: EncoderDecoderNetwork) -> AdaptationSettings:
     """A decoder that starts from the exact present motion leaves less to be learnt."""
-    start_std_m = 0.05 if network.settings.decoder == "kinematic" else 0.2
+    start_std_m = 0.02 if network.settings.decoder == "kinematic" else 0.2
     return AdaptationSettings(start_std_m=start_std_m)
 
 
@@ -144,25 +144,27 @@ def learn(
     goal_m: Tensor,
     driven_m: Tensor,
     seen: Tensor,
+    theta_then: Tensor,
 ) -> tuple[FilterState, Tensor]:
     """One step of the filter for the vehicles of [B] that are `seen` [B], and its evidence [B, 2].
 
-    `batch` and `goal_m` [B, G] are what the network read `steps` frames ago, `driven_m`
-    [B, steps, 2] is where the vehicles then went, in their frames of that time. The evidence is of
-    the newest increment, which the parameters have not seen yet: what they changed of its
-    prediction times what the trained ones missed of it, and the square of that change.
+    `batch` and `goal_m` [B, G] are what the network read `steps` frames ago, and `theta_then`
+    [B, P] what was believed then; `driven_m` [B, steps, 2] is where the vehicles went from there,
+    in their frames of that time. The evidence is of the forecast of then, which had seen nothing of
+    that: what its correction changed times what the trained network missed, and the square of that
+    change.
     """
     settings = adapter.settings
     predicted, jacobian = adapter.linearise(state.theta, batch, goal_m)
     innovation = driven_m.flatten(1) - predicted
-    changed = (jacobian @ (state.theta - adapter.prior)[..., None])[..., 0]
-    change, missed = (
-        values.view(-1, settings.steps, 2).diff(
-            dim=1, prepend=values.new_zeros(1, 1, 2).expand(len(values), -1, -1)
-        )[:, -1]
-        for values in (changed, changed + innovation)
+    changed_then, changed_now = (
+        (jacobian @ (theta - adapter.prior)[..., None])[..., 0]
+        for theta in (theta_then, state.theta)
     )
-    evidence = torch.stack(((change * missed).sum(-1), change.square().sum(-1)), -1)
+    missed = changed_now + innovation  # by the trained network
+    made_m = changed_then.norm(dim=-1)
+    right_m = (changed_then * missed).sum(-1) / made_m.clamp(min=1e-9)
+    evidence = torch.stack((right_m, made_m), -1)
     evidence = torch.where(torch.isfinite(evidence) & seen[:, None], evidence, 0.0)
     if settings.method == "sgd":
         after = descend(
@@ -198,13 +200,14 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class AdaptationState:
-    """The newest moment, what is believed of its vehicles, and their last `steps` inputs.
+    """The newest moment, what is believed of its vehicles, their last `steps` inputs, and beliefs.
 
-    The inputs end with now; the first column is what is to be predicted again at the next frame.
+    These end with now; the first column is what is to be predicted again at the next frame.
     """
 
     moment: Moment
     filter: FilterState  # [E]
+    theta: Tensor  # [E, steps, P] what was believed when these inputs were new
     evidence: Tensor  # [E, 2] for the adapted parameters, see `learn`; fading sums
     frames: IntArray  # [E] how many of the inputs are the vehicle's, on its present line
     batch: VehicleBatch  # [E, steps, ...]
@@ -214,7 +217,8 @@ class AdaptationState:
     def trust(self) -> Tensor:
         """How much of a correction would have been right lately [E]: from 0 to 1."""
         right, made = self.evidence.unbind(-1)
-        return ((right - CAUTION * made) / (made + DOUBT_M**2)).clamp(0.0, 1.0)
+        surely = (right - CAUTION * made) / (1.0 - CAUTION)
+        return (surely / (made + DOUBT_M)).clamp(0.0, 1.0)
 
 
 def moment_of(road: Road, seen: Perception, vehicle: IntArray, goal_m: Tensor) -> Moment:
@@ -242,6 +246,7 @@ def first(adapter: Adapter, moment: Moment) -> AdaptationState:
     return AdaptationState(
         moment,
         begin(adapter.prior, count, adapter.filter),
+        adapter.prior.repeat(count, steps, 1),
         torch.zeros(count, 2),
         moment.whole.astype(np.int64),
         VehicleBatch(*(_repeat(tensor, steps) for tensor in _tensors(moment.batch))),
@@ -292,11 +297,13 @@ def follow(
             goal_m[:, 0],
             torch.from_numpy(driven_m.astype(np.float32)),
             torch.from_numpy(taught),
+            state.theta[torch.from_numpy(source), 0],
         )
         evidence = evidence + found
     return AdaptationState(
         moment,
         believed,
+        torch.cat((state.theta[torch.from_numpy(source), 1:], believed.theta[:, None]), 1),
         evidence,
         np.minimum(frames + 1, adapter.settings.steps) * moment.whole,
         VehicleBatch(*(tensor[:, 1:] for tensor in _tensors(batch))),

@@ -42,6 +42,8 @@ FORMS: Final[Mapping[str, TrainingSettings]] = {
     "paper": TrainingSettings(paper_sgn(), PAPER),
 }
 """`hatn` is the best that we know, `paper` has the paper's networks."""
+STARTED_RATE: Final = 1e-3
+"""Learning rate of networks that begin with trained ones, so that these are not unlearnt."""
 SECTIONS: Final = tuple(one.name for one in fields(TrainingSettings))
 FIT_RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "epochs": (1, 100_000),
@@ -52,6 +54,15 @@ FIT_RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "patience": (1, 100_000),
 }
 """What each number may be, both ends included; those of the networks are with their weights."""
+
+
+def started(settings: TrainingSettings) -> TrainingSettings:
+    """For networks that begin with trained ones."""
+    return replace(
+        settings,
+        sgn_fit=replace(settings.sgn_fit, learning_rate=STARTED_RATE),
+        edn_fit=replace(settings.edn_fit, learning_rate=STARTED_RATE),
+    )
 
 
 def read_settings(path: Path, basis: TrainingSettings) -> TrainingSettings:

@@ -42,10 +42,18 @@ class Fit(Protocol):
 
 
 def train_sgn(
-    learn: Samples, tune: Samples, settings: SgnSettings, fit: Fit
+    learn: Samples,
+    tune: Samples,
+    settings: SgnSettings,
+    fit: Fit,
+    start: SemanticGraphNetwork | None = None,
 ) -> tuple[SemanticGraphNetwork, dict[str, float]]:
-    """The semantic graph network, alone, and its figures on `tune`."""
+    """The semantic graph network, alone, and its figures on `tune`; it begins as `start`."""
     model = SemanticGraphNetwork(settings)
+    if start is not None:
+        model.load_state_dict(start.state_dict())
+        model.slot_temperature.fill_(1.0)
+        model.goal_temperature.fill_(1.0)
 
     def loss_of(samples: Samples, rows: IntArray) -> Tensor:
         return sgn_batch_loss(model, samples, rows)

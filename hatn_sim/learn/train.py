@@ -21,7 +21,13 @@ from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
-from hatn_sim.hatn.weights_io import choice_of, choice_tensors, make_folder, save_weights
+from hatn_sim.hatn.weights_io import (
+    Weights,
+    choice_of,
+    choice_tensors,
+    make_folder,
+    save_weights,
+)
 from hatn_sim.learn import edn_training
 from hatn_sim.learn.cache import SampleCache, key_of, source_version
 from hatn_sim.learn.dataset import Samples
@@ -41,8 +47,12 @@ PLAN_FILE: Final = "plan.json"
 LINES: Final = "line_choice"
 """In plan and card: of the choice of lines fitted to the sites; None: that which ships."""
 LINES_FILE: Final = "line_choice.safetensors"
+START: Final = "start"
+"""In a card: of the weights that the networks began with; None: chance."""
 STOPPED: Final = "stopped"
 """In a card: how the loss was lost; the weights are those of an epoch before."""
+STARTED_FORM: Final = "hatn"
+"""What may begin with trained weights."""
 OF_FORM: Final = {"hatn": "", "paper": "-paper"}
 """What the name of a form's weights ends in."""
 
@@ -58,6 +68,7 @@ class TrainingPlan:
     workers: int = 0  # processes that make samples; 0: one for every core
     cache: SampleCache = field(default_factory=lambda: SampleCache(None))
     command: str = ""
+    start: Weights | None = None  # that the form `hatn` begins with; the paper's begins with none
 
 
 def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str, dict[str, Any]]:
@@ -88,7 +99,8 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
         name = form if len(plan.forms) > 1 else ""
         card = _card(plan, form, settings, len(learn), len(tune), site)
         save = partial(save_weights, path, line_choice=choice)
-        cards[form] = _train_form(learn, tune, settings, place, name, path, card, save)
+        start = plan.start if form == STARTED_FORM else None
+        cards[form] = _train_form(learn, tune, settings, start, place, name, path, card, save)
     shutil.rmtree(progress_folder(out), ignore_errors=True)
     return cards
 
@@ -97,6 +109,7 @@ def _train_form(
     learn: Samples,
     tune: Samples,
     settings: TrainingSettings,
+    start: Weights | None,
     place: Workplace,
     name: str,
     path: Path,
@@ -109,7 +122,7 @@ def _train_form(
     an SGN alone into the folder of progress.
     """
     try:
-        sgn, figures = fit_sgn(learn, tune, settings, place, name)
+        sgn, figures = fit_sgn(learn, tune, settings, place, name, start and start.sgn)
     except LossError as lost:
         if not lost.epoch or place.progress is None:
             raise
@@ -117,7 +130,7 @@ def _train_form(
         _write(kept, tensor_bytes(lost.model.state_dict()))
         raise HatnSimError(f"{lost}, in {kept}") from None
     try:
-        edn, more = fit_edn(learn, tune, sgn, settings, place, name)
+        edn, more = fit_edn(learn, tune, sgn, settings, place, name, start and start.edn)
     except LossError as lost:
         if not lost.epoch:
             raise
@@ -153,10 +166,16 @@ def collect(plan: TrainingPlan, watch: Watch) -> tuple[Samples, Samples]:
 
 
 def fit_sgn(
-    learn: Samples, tune: Samples, settings: TrainingSettings, place: Workplace, name: str = ""
+    learn: Samples,
+    tune: Samples,
+    settings: TrainingSettings,
+    place: Workplace,
+    name: str = "",
+    start: SemanticGraphNetwork | None = None,
 ) -> tuple[SemanticGraphNetwork, Figures]:
     """The semantic graph network and its figures; `name` tells forms apart. Raises as `fit`."""
-    return train_sgn(learn, tune, settings.sgn, _fitting(f"{name} SGN", settings.sgn_fit, place))
+    how = _fitting(f"{name} SGN", settings.sgn_fit, place)
+    return train_sgn(learn, tune, settings.sgn, how, start)
 
 
 def fit_edn(
@@ -166,6 +185,7 @@ def fit_edn(
     settings: TrainingSettings,
     place: Workplace,
     name: str = "",
+    start: EncoderDecoderNetwork | None = None,
 ) -> tuple[EncoderDecoderNetwork, Figures]:
     """The encoder-decoder network, on what the SGN predicts, and its figures.
 
@@ -174,6 +194,8 @@ def fit_edn(
     profiles = [predicted_profiles(sgn, samples) for samples in (learn, tune)]
     how = _fitting(f"{name} EDN", settings.edn_fit, place)
     model = make_edn(settings, profiles[0])
+    if start is not None:
+        model.load_state_dict(start.state_dict())
     goals, tune_goals = (edn_training.goals_of(model, one) for one in profiles)
     return model, how(
         model,
@@ -281,6 +303,7 @@ def described(plan: TrainingPlan) -> dict[str, Any]:
         "settings": settings,
         "torch_seed": plan.seed,
         "device": plan.device,
+        "start": None if plan.start is None else plan.start.sha256,
         "versions": [torch.__version__, source_version(everything=True)],
     }
 
@@ -315,6 +338,11 @@ def _check_samples(part: str, samples: Samples, pieces: int) -> None:
         )
 
 
+def _start_card(start: Weights) -> dict[str, Any]:
+    kept = ("command", "split", START)
+    return {"sha256": start.sha256} | {key: start.card[key] for key in kept if key in start.card}
+
+
 def _card(
     plan: TrainingPlan,
     form: str,
@@ -328,6 +356,7 @@ def _card(
         "command": plan.command,
         "form": form,
         "split": plan.split.card(),
+        START: None if plan.start is None or form != STARTED_FORM else _start_card(plan.start),
         "fit": {"sgn": asdict(settings.sgn_fit), "edn": asdict(settings.edn_fit)},
         "torch_seed": plan.seed,
         "samples": learn,

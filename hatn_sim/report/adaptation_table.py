@@ -112,7 +112,7 @@ def _cell(change: Change | None) -> str:
     text = f"{both}\n{_percent(change.share)}"
     if change.low is None or change.high is None:
         return text
-    return rf"{text} \[{_percent(change.low)} {_percent(change.high)}]"
+    return f"{text} [{_percent(change.low)} {_percent(change.high)}]"
 
 
 def _by_layer(rows: Sequence[Row]) -> Table:
