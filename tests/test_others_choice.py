@@ -155,6 +155,22 @@ def test_every_recording_has_that_of_the_others_with_any_number_of_workers(
     assert both["002"].choice is not None and both["002"].about() != found.about()
 
 
+def test_the_same_lines_drawn_by_others_are_no_reason_to_be_fitted_to(
+    site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two recordings may both add nothing to the lines: neither may learn from itself."""
+    by_name = scenes(site, "000", "001")
+    for name, scene in by_name.items():
+        assert scene.recorded is not None and scene.recorded.drawn is not None
+        drawn = replace(scene.recorded.drawn, sha256="the same")
+        by_name[name] = replace(scene, recorded=replace(scene.recorded, drawn=drawn))
+    monkeypatch.setattr("hatn_sim.learn.others_choice.MOST_S", 0.5)  # too short for any choice
+    found = found_for(by_name)
+    assert {one.cases for one in found.values()} == {0}
+    assert found["000"].recordings == ("001", "002", "003")
+    assert found["001"].recordings == ("000", "002", "003")
+
+
 def test_one_that_is_not_better_is_not_taken(
     site: Path, found: OthersChoice, monkeypatch: pytest.MonkeyPatch
 ) -> None:

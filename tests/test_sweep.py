@@ -76,6 +76,8 @@ def test_draws_are_even_in_the_logarithm_and_the_same_each_time(tmp_path: Path) 
         ("[sgn]\nwidth = {from = 8, to = 9}\n", "a span is drawn from: add draws = N, or name"),
         ("draws = 2\n[edn_fit]\nlearning_rate = {from = 0, to = 1}\n", "expected a span of numbe"),
         ("[edn]\ndecoder = ['fast']\n", "edn.decoder: expected one of kinematic, plain, found 'f"),
+        ("[edn]\ngoal_steps = [4]\n", "edn.goal_steps: expected one of 1, 6, found 4"),
+        ("[edn]\ngoal_steps = [6.0]\n", "edn.goal_steps: expected one of 1, 6, found 6.0"),
         ("draws = 2\n", "expected settings to try in sgn, edn, sgn_fit, edn_fit, found none"),
     ],
 )

@@ -29,13 +29,10 @@ from hatn_sim.hatn.edn_kinematic import (
     START_LIMITS,
 )
 from hatn_sim.hatn.kinematics import path_along, positions, present_motion
-from hatn_sim.hatn.travel import PROFILE_S
 
 Signal = Literal["none", "transform", "input", "output", "hidden"]
 """How the decoder learns of the goal, or of the step it is at."""
 GOAL_SCALE_M: Final = 10.0
-PROFILE_STEPS: Final = len(PROFILE_S)
-"""A goal may be the distances after 0.5, 1 ... 3 s in place of the last of them."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class EdnSettings:
     dropout: float = 0.0
     decoder: Literal["kinematic", "plain"] = "kinematic"
     goal: Signal = "input"
-    goal_steps: int = PROFILE_STEPS  # 1: the distance in 3 s; 6: a distance for each 0.5 s
+    goal_steps: Literal[1, 6] = 6  # 1: the distance in 3 s; 6: those of `PROFILE_S`
     clock: Signal = "input"
     # Of the plain decoder:
     coordinates: Literal["frenet", "cartesian"] = "frenet"

@@ -20,6 +20,7 @@ from hatn_sim.hatn.inputs import HISTORY
 X: Final = HISTORY.index("x_m in the vehicle's frame of now")
 Y: Final = HISTORY.index("y_m in the vehicle's frame of now")
 YAW: Final = HISTORY.index("yaw_rad since now")
+SEEN: Final = HISTORY.index("seen")
 SPEED: Final = HISTORY.index("speed_mps")
 MAX_CURVATURE_PER_M: Final = 0.25
 MAX_LATERAL_MPS2: Final = 15.0
@@ -46,17 +47,21 @@ def present_motion(history: Tensor) -> Present:
 
     Increments of position rather than speeds: what a source calls speed may hold for the whole last
     step (SUMO) or for its end (a differentiated track); the next position follows the last ones.
+    Who has only just come into view has a speed alone. Who reverses stands for what comes next, on
+    the way that its nose points along.
     """
     step = history[:, 1:, (X, Y)] - history[:, :-1, (X, Y)]
     yaw = history[..., YAW]
     last = step[:, -1]
     length = last.norm(dim=-1)
     forward = torch.where(last[:, 0] < 0.0, -length, length)
+    forward = torch.where(history[:, -2, SEEN] > 0.5, forward, history[:, -1, SPEED] * DT_S)
     sure = torch.sigmoid((length - SLOW_M) / (0.2 * SLOW_M))
-    half_back = torch.atan2(last[:, 1], last[:, 0].clamp(min=1e-3)) * sure
+    ahead = torch.where(last[:, 0] < -SLOW_M, -1.0, 1.0)
+    half_back = torch.atan2(ahead * last[:, 1], (ahead * last[:, 0]).clamp(min=1e-3)) * sure
     driven = step.norm(dim=-1)
-    late = (yaw[:, -1] - yaw[:, -3]) / driven[:, -2:].sum(-1).clamp(min=SHORT_M)
-    early = (yaw[:, -3] - yaw[:, -5]) / driven[:, -4:-2].sum(-1).clamp(min=SHORT_M)
+    late = ahead * (yaw[:, -1] - yaw[:, -3]) / driven[:, -2:].sum(-1).clamp(min=SHORT_M)
+    early = ahead * (yaw[:, -3] - yaw[:, -5]) / driven[:, -4:-2].sum(-1).clamp(min=SHORT_M)
     most = largest_curvature_per_m(length)
     late, early = late.clamp(-most, most), early.clamp(-most, most)
     curvature = 0.5 * (late + early)

@@ -40,7 +40,6 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "dropout": (0.0, 1.0),
     "race_dropout": (0.0, 1.0),
     "history_stride": (1, HISTORY_FRAMES),
-    "goal_steps": (1, edn_module.PROFILE_STEPS),
     "graph_layers": (1, 8),
     "heads": (1, 16),
     "ego_weight": (0.0, 1e6),
@@ -258,7 +257,9 @@ def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Sett
 def unfit(value: object, wanted: Any, span: tuple[float, float] | None) -> str:
     """What was expected in place of a setting's value; "" where it is fit."""
     if get_origin(wanted) is Literal:
-        return "" if value in get_args(wanted) else "one of " + ", ".join(get_args(wanted))
+        known = get_args(wanted)
+        fit = any(type(value) is type(one) and value == one for one in known)
+        return "" if fit else "one of " + ", ".join(map(str, known))
     if wanted is bool or span is None:
         return "" if isinstance(value, bool) else "true or false"
     low, high = span

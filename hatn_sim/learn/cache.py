@@ -43,19 +43,13 @@ NO_PART_IN_SAMPLES: Final = (
     "report",
     "score",
     "bench",
-    "evaluation",
     "cli",
-    "hatn/edn",
-    "hatn/kinematics",
-    "hatn/sgn",
-    "hatn/predictor",
-    "hatn/weights/hatn",
-    "hatn/adaptation",
+    "hatn/",
     "learn/",
     "_data/",
 )
 """Beginnings of the package's files whose change leaves samples as they are ..."""
-BUT: Final = ("learn/dataset", "learn/sources")
+BUT: Final = ("hatn/inputs", "hatn/weights/line_choice", "learn/dataset", "learn/sources")
 """... and those among them that have a part after all."""
 
 

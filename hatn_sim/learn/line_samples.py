@@ -16,7 +16,7 @@ from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, Frame, Int
 from hatn_sim.habits import fresh_habits
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice
-from hatn_sim.line_features import collect_evidence, line_features
+from hatn_sim.line_features import FEATURES, collect_evidence, line_features
 from hatn_sim.lines import empty_lines, follow_lines
 from hatn_sim.road import Road
 from hatn_sim.tracks import empty_tracks, extend, rows_before
@@ -42,6 +42,13 @@ class ChoiceSamples:
 
     def __len__(self) -> int:
         return len(self.probability)
+
+
+def no_samples() -> ChoiceSamples:
+    """What there is where nobody has a choice, or nothing lasts for 3 s."""
+    none, no_case = np.zeros(0), np.zeros(0, dtype=np.int64)
+    not_one = np.zeros(0, dtype=np.bool_)
+    return ChoiceSamples(np.zeros((0, len(FEATURES))), none, none, not_one, no_case, none)
 
 
 def joined(parts: Sequence[ChoiceSamples]) -> ChoiceSamples:
@@ -82,7 +89,7 @@ def choice_samples(
     """The cases of a run: every vehicle with several candidates and 3 s of track after it."""
     tracks, state = empty_tracks(), empty_lines()
     waiting: deque[tuple[int, _Moment]] = deque()
-    parts: list[ChoiceSamples] = []
+    parts = [no_samples()]
     for index, frame in enumerate(frames):
         scene = frame.scene
         tracks = extend(tracks, scene)

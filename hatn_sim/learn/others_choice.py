@@ -85,9 +85,10 @@ def choices_of_others(
 ) -> dict[str, OthersChoice]:
     """A choice of lines for each scene whose lines at least `least` other recordings drew.
 
-    Scenes with the same lines share one. It begins with the first of `starts`, is drawn back to it,
-    and must be better than all of them: fitted to half of the recordings, on the other half, both
-    ways. The lines are those that these recordings drew, as they are where the choice is used.
+    Scenes with the same lines from the same recordings share one. It begins with the first of
+    `starts`, is drawn back to it, and must be better than all of them: fitted to half of the
+    recordings, on the other half, both ways. The lines are those that these recordings drew, as
+    they are where the choice is used.
 
     Args:
         scenes: recorded tracks, one recording each, by name.
@@ -100,11 +101,12 @@ def choices_of_others(
     Raises:
         HatnSimError: in one line that names the recording at fault.
     """
-    groups: dict[str, list[str]] = {}
+    # Lines may be the same though others drew them: who is fitted to must be the same as well.
+    groups: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for name, scene in scenes.items():
         drawn = None if scene.recorded is None else scene.recorded.drawn
         if drawn is not None and len(drawn.recordings) >= max(least, LEAST):
-            groups.setdefault(drawn.sha256, []).append(name)
+            groups.setdefault((drawn.sha256, drawn.recordings), []).append(name)
     jobs = {name: _pieces(scenes[name], starts[0]) for name, *_ in groups.values()}
     files = {name: _file(keep, pieces, starts) for name, pieces in jobs.items()}
     found = {name: known for name in jobs if (known := _read(files[name])) is not None}
