@@ -62,7 +62,7 @@ def log_a_run(
 def simulated(out: Path, predictors: Sequence[str], egos: frozenset[str] | None) -> list[Frame]:
     scenario = load_scenario("roundabout8", density="dense", risk="inattentive")
     with SumoSimulator(scenario) as simulator:
-        first = warm_up(simulator, simulator.reset(1), 300)
+        first = warm_up(simulator, simulator.reset(5), 300)
         return log_a_run(simulator, first, out, predictors, egos, FRAMES)
 
 
