@@ -701,8 +701,10 @@ def test_scores_as_json(tmp_path: Path) -> None:
     scores = score_run(run)
     listed = json.loads(scores_json(scores))
     keys = ["measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high"]
-    keys += ["std", "lines"]
+    keys += ["std"]
     assert all(list(entry) == keys for entry in listed)
+    told = json.loads(scores_json([replace(scores[0], lines="lines: lanes")]))
+    assert list(told[0]) == [*keys, "lines"] and told[0]["lines"] == "lines: lanes"
     entry = next(e for e in listed if (e["measure"], e["subset"]) == ("ade_3s", "all"))
     assert entry["value"] == pytest.approx(1.0) and entry["n"] == 2 and entry["adapt"] == "none"
     slot = next(e for e in listed if e["measure"] == "slot_accuracy")
