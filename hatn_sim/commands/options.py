@@ -92,27 +92,28 @@ def add_tracks(parser: argparse.ArgumentParser, place: str) -> None:
     )
 
 
-def add_lines_from(parser: argparse.ArgumentParser, default: str) -> None:
-    """`--lines-from`."""
+def add_lines_from(parser: argparse.ArgumentParser, default: str | None, said: str = "") -> None:
+    """`--lines-from`; `said` of its default."""
     parser.add_argument(
         "--lines-from",
         choices=LINES_FROM,
         default=default,
         help="reference lines of INTERACTION tracks along the lanes of the map, or along those "
         "drawn from the tracks of the other recordings of --tracks; auto: from tracks where there "
-        f"are enough (default: {default})",
+        f"are enough (default: {said or default})",
     )
 
 
-def add_choice_from(parser: argparse.ArgumentParser, default: str) -> None:
-    """`--choice-from`."""
+def add_choice_from(parser: argparse.ArgumentParser, default: str | None, said: str = "") -> None:
+    """`--choice-from`; `said` of its default."""
     parser.add_argument(
         "--choice-from",
         choices=CHOICE_FROM,
         default=default,
         help="what chooses among the lines drawn from tracks, for all predictors: what each has in "
         "its weights, or that fitted to the tracks of the same other recordings, where it does "
-        f"better on those held out; auto: fitted where there are three (default: {default})",
+        "better on those held out; auto: fitted where there are three "
+        f"(default: {said or default})",
     )
 
 

@@ -33,7 +33,6 @@ from hatn_sim.commands.options import (
     seconds,
     seconds_or_none,
     with_driving,
-    with_lines_from,
 )
 
 if TYPE_CHECKING:
@@ -90,8 +89,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="further predictors to score on the same samples",
     )
     add_lines(parser)
-    add_lines_from(parser, "lanes")
-    add_choice_from(parser, "weights")
+    trained_on = "of weights trained on lines from tracks auto, else"
+    add_lines_from(parser, None, f"{trained_on} lanes")
+    add_choice_from(parser, None, f"{trained_on} weights")
     parser.add_argument(
         "--egos",
         type=names,
@@ -115,6 +115,7 @@ def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
     from hatn_sim.commands.chosen_predictors import load_predictors
     from hatn_sim.commands.line_choices import choice_header
+    from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
@@ -124,7 +125,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.traffic import ids_by, open_traffic
 
     started = time.monotonic()
-    scenario = with_lines_from(with_driving(chosen_scenario(arguments), arguments), arguments)
+    scenario = with_driving(chosen_scenario(arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     if arguments.warm_up is None:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
@@ -139,9 +140,11 @@ def main(arguments: argparse.Namespace) -> int:
         wanted, arguments.weights, arguments.adapt, arguments.quiet, advised
     )
     drivers = _load_drivers(arguments)
+    scenario, why = with_lines_for(scenario, predictors, arguments)
     fitted = _fitted_choice(arguments, scenario, predictors)
     choice = None if fitted is None else fitted.choice
     header = make_header(arguments, scenario, predictors, choice_header(fitted))
+    scenario = with_lines_said(scenario, choice is not None, why)
     where = ""
     try:
         with closing(open_traffic(scenario)) as simulator:

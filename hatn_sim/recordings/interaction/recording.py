@@ -102,13 +102,10 @@ class InteractionRecording:
         if beside:
             more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
             notices.append(f"read along with the vehicles: {', '.join(beside[:3])}{more}")
-        if self._drawn is not None:
-            notices.append(
-                f"reference lines drawn from {self._drawn.vehicles} vehicles of "
-                f"{len(self._drawn.recordings)} other recordings; where none drove, the map's lanes"
-            )
         if self._lines_notice:
             notices.append(self._lines_notice)
+        elif self._drawn is not None:
+            notices.append(f"reference lines drawn from {self._drawn.words}")
         return [*notices, *self._found]
 
     def frames(self) -> Iterator[Frame]:
