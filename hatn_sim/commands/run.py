@@ -122,7 +122,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.log.choice_file import write_run_choice
     from hatn_sim.log.road_file import ROAD_FILE, write_road
     from hatn_sim.perception import choose_lines_by
-    from hatn_sim.traffic import ids_by, open_traffic
+    from hatn_sim.traffic import found_out, open_traffic
 
     started = time.monotonic()
     scenario = with_driving(chosen_scenario(arguments), arguments)
@@ -151,7 +151,7 @@ def main(arguments: argparse.Namespace) -> int:
             first = simulator.reset(arguments.seed or 0)
             if choice is not None:
                 choose_lines_by(simulator.road, choice)
-            header["settings"]["ids_by"] = ids_by(simulator)
+            header["settings"] |= found_out(simulator)
             if not arguments.quiet:
                 for notice in simulator.notices:
                     print(f"hatn-sim: {notice}", file=sys.stderr)

@@ -17,6 +17,7 @@ import numpy as np
 from hatn_sim.config import DrawnLines, RecordedSource, Scenario
 from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError
+from hatn_sim.recordings.fit import check_place
 from hatn_sim.recordings.interaction.files import Recorded, group_files
 from hatn_sim.recordings.interaction.table import InteractionTable
 from hatn_sim.recordings.maps import read_lanes
@@ -27,6 +28,7 @@ from hatn_sim.recordings.track_lines.read import read_tracks
 
 FEWEST_VEHICLES: Final = 40
 """With fewer in the other recordings, `auto` keeps to the lanes of the map."""
+_WHERE: Final = ("xy_m", "yaw_rad")
 _Stamp = tuple[Path, int, int]
 """A file as it is now: its path, time and size."""
 
@@ -113,8 +115,12 @@ def _drawn(
     recordings: tuple[Recorded, ...], stamps: tuple[_Stamp, ...], map_stamp: _Stamp
 ) -> DrawnLines:
     """The lines from recordings on a map; the stamps tell whether files are still the same."""
+    of_map = read_lanes(map_stamp[0])
     paths = [path for one in recordings for path in _paths(one, _stamps([one]))]
-    lanes = lanes_from_paths(paths, read_lanes(map_stamp[0]))
+    if paths:
+        xy_m, yaw_rad = (np.concatenate([getattr(one, k) for one in paths]) for k in _WHERE)
+        check_place(recordings[0].paths[0], map_stamp[0], of_map, xy_m, yaw_rad)
+    lanes = lanes_from_paths(paths, of_map)
     names = tuple(one.name for one in recordings)
     return DrawnLines(tuple(lanes), names, len(paths), _hash(lanes))
 
