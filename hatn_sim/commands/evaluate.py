@@ -100,7 +100,7 @@ USED_BY: Final = {
         *("scenes", "seeds", "duration", "tracks", "map", "recordings"),
         *("predictors", "weights", "workers"),
     },
-    "sota": {*TRAFFIC, *PREDICTED},
+    "sota": {*TRAFFIC, *PREDICTED, "cache"},
     "runtime": {"scenes", "seeds", "weights"},
     "density": {*TRAFFIC},
     "lines": {*TRAFFIC},
@@ -184,7 +184,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cache",
         metavar="FOLDER|none",
-        help="where samples for the ablations are kept (default: the system's)",
+        help="where samples for the ablations, lines drawn from tracks and choices among them are "
+        "kept (default: the system's)",
     )
     parser.add_argument(
         "--workers",
@@ -234,7 +235,7 @@ def _check_used(arguments: argparse.Namespace) -> None:
     from hatn_sim.errors import InputError
 
     table: str | None = arguments.table
-    known = {*TRAFFIC, *PREDICTED} if table is None else USED_BY[table]
+    known = {*TRAFFIC, *PREDICTED, "cache"} if table is None else USED_BY[table]
     given = table in ABLATIONS and arguments.rows is not None
     for option, value in {**TRAFFIC, **PREDICTED, **TRAINED}.items():
         if getattr(arguments, option) != value and option not in ({"rows"} if given else known):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
+    from hatn_sim.recordings.track_lines.source import Drawing
 
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
@@ -200,13 +201,16 @@ def with_driving(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     return replace(scenario, recorded=replace(scenario.recorded, replay=replay))
 
 
-def with_lines_from(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+def with_lines_from(
+    scenario: Scenario, arguments: argparse.Namespace, drawing: Drawing
+) -> Scenario:
     """The scene with the reference lines of --lines-from. Raises InputError."""
     if arguments.lines_from == "lanes":
         return scenario
     from hatn_sim.recordings.track_lines.source import other_recordings, with_track_lines
 
-    return with_track_lines(scenario, other_recordings(scenario), arguments.lines_from)
+    others = other_recordings(scenario)
+    return with_track_lines(scenario, others, arguments.lines_from, drawing)
 
 
 def chosen_scenario(arguments: argparse.Namespace) -> Scenario:

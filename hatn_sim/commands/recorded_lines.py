@@ -16,6 +16,7 @@ from hatn_sim.commands.options import with_lines_from
 if TYPE_CHECKING:
     from hatn_sim.config import RecordedSource, Scenario
     from hatn_sim.datatypes import Predictor
+    from hatn_sim.recordings.track_lines.source import Drawing
 
 LANES: Final = ("lanes", "weights")
 AS_EVALUATE: Final = ("auto", "auto")
@@ -23,7 +24,10 @@ AS_EVALUATE: Final = ("auto", "auto")
 
 
 def with_lines_for(
-    scenario: Scenario, predictors: Sequence[Predictor], arguments: argparse.Namespace
+    scenario: Scenario,
+    predictors: Sequence[Predictor],
+    arguments: argparse.Namespace,
+    drawing: Drawing,
 ) -> tuple[Scenario, str]:
     """The scene with its reference lines, and in a few words why it has these.
 
@@ -38,7 +42,7 @@ def with_lines_for(
     arguments.lines_from, arguments.choice_from = (
         one or other for one, other in zip(asked, taken, strict=True)
     )
-    return with_lines_from(scenario, arguments), _why(arguments, asked, predictors, source)
+    return with_lines_from(scenario, arguments, drawing), _why(arguments, asked, predictors, source)
 
 
 def with_lines_said(scenario: Scenario, is_fitted: bool, why: str) -> Scenario:

@@ -114,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
     from hatn_sim.commands.chosen_predictors import load_predictors
-    from hatn_sim.commands.line_choices import choice_header
+    from hatn_sim.commands.line_choices import choice_header, drawing_lines
     from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
@@ -140,7 +140,8 @@ def main(arguments: argparse.Namespace) -> int:
         wanted, arguments.weights, arguments.adapt, arguments.quiet, advised
     )
     drivers = _load_drivers(arguments)
-    scenario, why = with_lines_for(scenario, predictors, arguments)
+    with drawing_lines(None, arguments.quiet) as drawing:
+        scenario, why = with_lines_for(scenario, predictors, arguments, drawing)
     fitted = _fitted_choice(arguments, scenario, predictors)
     choice = None if fitted is None else fitted.choice
     header = make_header(arguments, scenario, predictors, choice_header(fitted))

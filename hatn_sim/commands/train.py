@@ -148,6 +148,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _split(arguments: argparse.Namespace) -> Split:
+    from hatn_sim.commands.line_choices import drawing_lines
     from hatn_sim.errors import InputError
     from hatn_sim.learn.split import make_split, traffic_of_tracks
     from hatn_sim.learn.split_file import read_split
@@ -160,7 +161,8 @@ def _split(arguments: argparse.Namespace) -> Split:
     if arguments.split is not None:
         for name in sorted(given):
             raise InputError(f"--{name}: --split names all traffic; leave one of them out")
-        return read_split(arguments.split)
+        with drawing_lines(arguments.cache, arguments.quiet) as drawing:
+            return read_split(arguments.split, drawing)
     if arguments.tracks is None:
         for name in OF_TRACKS:
             if name in given:
@@ -172,10 +174,12 @@ def _split(arguments: argparse.Namespace) -> Split:
     for name in ("recordings", "tune"):
         if name not in given:
             raise InputError(f"--tracks: add --{name} 000-014, those to learn from and to tune on")
-    parts = {
-        part: traffic_of_tracks(arguments.tracks, arguments.map, wanted, arguments.lines_from)
-        for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
-    }
+    tracks, map_path, lines = arguments.tracks, arguments.map, arguments.lines_from
+    with drawing_lines(arguments.cache, arguments.quiet) as drawing:
+        parts = {
+            part: traffic_of_tracks(tracks, map_path, wanted, lines, drawing)
+            for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
+        }
     return make_split(parts, {"train": "--recordings", "tune": "--tune"})
 
 
@@ -214,11 +218,10 @@ def _split_of_scenes(arguments: argparse.Namespace) -> Split:
 
 
 def _cache(arguments: argparse.Namespace) -> SampleCache:
-    from hatn_sim.learn.cache import SampleCache, default_folder
+    from hatn_sim.learn.cache import SampleCache
+    from hatn_sim.learn.kept import SAMPLES, folder_for
 
-    if arguments.cache == "none":
-        return SampleCache(None)
-    return SampleCache(default_folder() if arguments.cache is None else Path(arguments.cache))
+    return SampleCache(folder_for(SAMPLES, arguments.cache))
 
 
 def _forms(arguments: argparse.Namespace) -> dict[str, TrainingSettings]:

@@ -21,7 +21,8 @@ import torch
 from hatn_sim.config import Scenario
 from hatn_sim.errors import InputError
 from hatn_sim.evaluation.pool import Teller, work_on
-from hatn_sim.learn.cache import key_of, source_version
+from hatn_sim.learn.cache import key_of
+from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.line_choice import choice_figures, fit_line_choice, right_candidates
 from hatn_sim.learn.line_samples import ChoiceSamples, choice_samples, joined
 from hatn_sim.learn.sources import named, played
@@ -116,7 +117,8 @@ def choices_of_others(
     for number, made in work_on(_fit, fits, workers, lambda *_: None):
         name = missing[number]
         found[name] = replace(made, recordings=tuple(_recording(one) for one in jobs[name]))
-        _write(files[name], found[name])
+        if (trouble := _write(files[name], found[name])) is not None:
+            watch.say(trouble)
     shared = {name: found[group[0]] for group in groups.values() for name in group}
     for first, *more in groups.values():
         watch.say(_said([first, *more], found[first]))
@@ -240,9 +242,10 @@ def _read(path: Path | None) -> OthersChoice | None:
         return None
 
 
-def _write(path: Path | None, found: OthersChoice) -> None:
+def _write(path: Path | None, found: OthersChoice) -> str | None:
+    """Keep what was found; a line for the user where it could not be."""
     if path is None:
-        return
+        return None
     choice = found.choice
     weights = None
     if choice is not None:
@@ -251,4 +254,5 @@ def _write(path: Path | None, found: OthersChoice) -> None:
     try:
         write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; make room there") from None
+        return f"{path}: cannot be written: {error.strerror}; the choice of lines is not kept"
+    return None
