@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -171,9 +172,8 @@ def _split(arguments: argparse.Namespace) -> Split:
     for name in OF_SCENES:
         if name in given:
             raise InputError(f"--{name} is for scenes; leave it out with --tracks, or use --split")
-    for name in ("recordings", "tune"):
-        if name not in given:
-            raise InputError(f"--tracks: add --{name} 000-014, those to learn from and to tune on")
+    if not {"recordings", "tune"} <= given:
+        raise InputError(f"--tracks: {_parts_missing(arguments)}")
     tracks, map_path, lines = arguments.tracks, arguments.map, arguments.lines_from
     with drawing_lines(arguments.cache, arguments.quiet) as drawing:
         parts = {
@@ -181,6 +181,43 @@ def _split(arguments: argparse.Namespace) -> Split:
             for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
         }
     return make_split(parts, {"train": "--recordings", "tune": "--tune"})
+
+
+def _parts_missing(arguments: argparse.Namespace) -> str:
+    """What to add so that some recordings are learnt from and others tuned on."""
+    from hatn_sim.config import load_tracks, recording_names
+    from hatn_sim.recordings.interaction.files import group_files
+
+    source = load_tracks(arguments.tracks, arguments.map, ()).recorded
+    assert source is not None
+    every = [one.name for one in group_files(source.tracks, ())]
+    learnt, tuned = (recording_names(text or "") for text in (arguments.recordings, arguments.tune))
+    rest = [name for name in every if name not in (*learnt, *tuned)]
+    few = max(1, min(2, len(rest) // 4))
+    what = "recordings to learn from and others to tune on"
+    if learnt and rest:
+        return f"expected {what}; add --tune {_span(rest[:few])}"
+    if tuned and rest:
+        return f"expected {what}; add --recordings {_span(rest)}"
+    if len(every) < 2:
+        return f"expected {what}, found {len(every)}; name more with --tracks"
+    last = max(1, min(2, len(every) // 4))
+    instead = "say" if learnt or tuned else "add"
+    return (
+        f"expected {what}; {instead} --recordings {_span(every[:-last])} "
+        f"--tune {_span(every[-last:])}"
+    )
+
+
+def _span(names: Sequence[str]) -> str:
+    """Names of recordings as the options take them, `000-014` where they follow each other."""
+    from hatn_sim.config import recording_names
+
+    if len(names) > 1 and all(name.isdecimal() for name in names):
+        span = f"{names[0]}-{names[-1]}"
+        if recording_names(span) == tuple(names):
+            return span
+    return ",".join(names)
 
 
 def _split_of_scenes(arguments: argparse.Namespace) -> Split:
