@@ -84,3 +84,17 @@ def test_of_a_map_that_fits_nothing_is_said(site: Path, capsys: pytest.CaptureFi
     assert cli.main([*run, "--no-picture"]) == 0
     assert "the map of this place" not in capsys.readouterr().out
     assert "doubts" not in json.loads(Path("out", "run.json").read_text())["settings"]
+
+
+def test_a_predictor_that_fails_at_once_leaves_no_folder(
+    site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("hasty.py").write_text(
+        "class Hasty:\n    name = 'hasty'\n    def init(self, road): pass\n"
+        "    def observe(self, *_): raise KeyError('x')\n    def predict(self, state): pass\n"
+    )
+    monkeypatch.syspath_prepend(str(site))
+    for _ in range(2):
+        assert cli.main(words("run", site, "whole.osm", "--predictor", "hasty:Hasty")) == 2
+        assert "predictor 'hasty' failed at " in capsys.readouterr().err
+        assert not Path("out").exists()

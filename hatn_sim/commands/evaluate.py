@@ -106,6 +106,8 @@ USED_BY: Final = {
     "lines": {*TRAFFIC},
 }
 """Table -> the options that it knows."""
+OF_TRACKS: Final = ("tracks", "map", "recordings")
+INSTEAD: Final = "name recordings in a file: --split FILE.toml"
 DURATION_S: Final = 120.0
 HELD_OUT: Final = (601, 602, 603, 604, 605)
 """Seeds that the networks that ship have never seen; five of them make intervals over seeds."""
@@ -242,7 +244,8 @@ def _check_used(arguments: argparse.Namespace) -> None:
             where = "without --table" if table is None else f"to --table {table}"
             where = "with --rows" if given else where
             name = option.replace("_", "-")
-            raise InputError(f"--{name} is of no use {where}; leave it out")
+            instead = f", or {INSTEAD}" if option in OF_TRACKS and "split" in known else ""
+            raise InputError(f"--{name} is of no use {where}; leave it out{instead}")
 
 
 def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Scenario]:

@@ -165,9 +165,10 @@ def main(arguments: argparse.Namespace) -> int:
                 writer.close(timing=timing | {"frames": done.frames})
         return _finish(arguments, out, done, started)
     except KeyboardInterrupt:
-        print(f"hatn-sim: interrupted{where}", file=sys.stderr)
+        print(f"hatn-sim: interrupted{where if out.exists() else ''}", file=sys.stderr)
         return 130
     except SimulatorError as error:
+        where = where if out.exists() else ""
         raise SimulatorError(f"{error}; repeat with `{header['command']}`{where}") from None
 
 
