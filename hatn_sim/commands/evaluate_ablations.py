@@ -123,15 +123,15 @@ def _print(
     from hatn_sim.evaluation.paper import TABLES
     from hatn_sim.evaluation.table import compare, entries_json, write_csv, write_rows
     from hatn_sim.report.paper_table import paper_table
+    from hatn_sim.whole_file import save_whole
 
     table: str = arguments.table
     parts = [(part, compare(part, rows)) for part in TABLES[table]]
     entries = [entry for _, of_part in parts for entry in of_part]
-    out.mkdir(parents=True, exist_ok=True)
     csv_path = out / f"{table}.csv"
     write_csv(csv_path, entries)
     write_rows(out / f"{table}-rows.json", rows)
-    (out / f"{table}.json").write_text(entries_json(entries) + "\n", encoding="utf-8", newline="\n")
+    save_whole(out / f"{table}.json", entries_json(entries) + "\n")
     if arguments.json:
         print(entries_json(entries))
         return 0
@@ -244,7 +244,6 @@ def _draw(path: Path, judged: Judged) -> None:
     from hatn_sim.report.steps_figure import draw_steps, write_steps
 
     if judged.steps:
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_steps(path.with_suffix(".csv"), judged.steps)
         draw_steps(judged.steps, [path.with_suffix(".png"), path.with_suffix(".pdf")], "all")
 

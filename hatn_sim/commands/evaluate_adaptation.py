@@ -43,7 +43,6 @@ def main(arguments: argparse.Namespace) -> int:
         for scene in traffic
     }
     rows = [row for part in by_place.values() for row in (*part[0], *part[1])]
-    out.mkdir(parents=True, exist_ok=True)
     write_csv(out / CSV_FILE, rows)
     figures = _draw(out, by_place)
     if arguments.json:

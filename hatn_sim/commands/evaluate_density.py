@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
@@ -42,7 +41,6 @@ def main(arguments: argparse.Namespace) -> int:
     densities = {
         label: _measure(arguments, label, scenario) for label, scenario in scenarios.items()
     }
-    out.mkdir(parents=True, exist_ok=True)
     _write_histograms(out / HISTOGRAMS, densities)
     draw_density(densities, [out / name for name in FIGURES])
     if arguments.json:
@@ -119,15 +117,17 @@ def _frames(
 
 def _write_histograms(path: Path, densities: Mapping[str, Density]) -> None:
     from hatn_sim.score.density import counts_of, criteria_of, histogram
+    from hatn_sim.whole_file import save_csv
 
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("scene", "criterion", "interacting_vehicles", "samples", "share"))
-        for label, density in densities.items():
-            for criterion in criteria_of(density):
-                numbers, samples = histogram(counts_of(density, criterion))
-                for number, n in zip(numbers.tolist(), samples.tolist(), strict=True):
-                    writer.writerow((label, criterion, number, n, f"{n / samples.sum():.6f}"))
+    rows: list[Sequence[object]] = [
+        ("scene", "criterion", "interacting_vehicles", "samples", "share")
+    ]
+    for label, density in densities.items():
+        for criterion in criteria_of(density):
+            numbers, samples = histogram(counts_of(density, criterion))
+            for number, n in zip(numbers.tolist(), samples.tolist(), strict=True):
+                rows.append((label, criterion, number, n, f"{n / samples.sum():.6f}"))
+    save_csv(path, rows)
 
 
 def _print(densities: Mapping[str, Density]) -> None:

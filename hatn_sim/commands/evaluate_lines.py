@@ -42,7 +42,6 @@ def main(arguments: argparse.Namespace) -> int:
     out = chosen_folder(arguments, (SCORES_FILE, *FIGURES))
     samples = {label: _measure(arguments, label, one) for label, one in scenarios.items()}
     scores = {label: line_scores(one, label) for label, one in samples.items()}
-    out.mkdir(parents=True, exist_ok=True)
     draw_line_accuracy(samples, [out / name for name in FIGURES])
     every = [score for of_scene in scores.values() for score in of_scene]
     path = write_scores(out, every)

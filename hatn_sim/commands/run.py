@@ -299,9 +299,10 @@ def _write_replay(
         return []
     from hatn_sim.report.replay_table import replay_scores
     from hatn_sim.report.table import scores_json
+    from hatn_sim.whole_file import save_whole
 
     scores = replay_scores(str(logged.header["scene"]), *replay)
-    (out / REPLAY_FILE).write_text(scores_json(scores) + "\n", encoding="utf-8")
+    save_whole(out / REPLAY_FILE, scores_json(scores) + "\n")
     return scores
 
 

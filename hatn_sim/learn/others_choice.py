@@ -27,8 +27,8 @@ from hatn_sim.learn.line_samples import ChoiceSamples, choice_samples, joined
 from hatn_sim.learn.sources import named, played
 from hatn_sim.learn.split import Traffic
 from hatn_sim.learn.watch import Watch
-from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.line_choice import DIGITS, LineChoice
+from hatn_sim.whole_file import save_whole
 
 LEAST: Final = 2
 """Recordings without which none can be held out from the fit."""
@@ -248,7 +248,4 @@ def _write(path: Path | None, found: OthersChoice) -> None:
     if choice is not None:
         weights = {name: one.tolist() for name, one in choice.to_arrays().items()}
     text = json.dumps({"about": found.about(), "weights": weights}, indent=1) + "\n"
-    try:
-        write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; make room there") from None
+    save_whole(path, text)

@@ -38,8 +38,8 @@ from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
 from hatn_sim.learn.sources import cores, gather
 from hatn_sim.learn.split import Split
 from hatn_sim.learn.watch import Nobody, Watch
-from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.line_choice import LineChoice
+from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
 MAX_SEED: Final = 2**64 - 1
 """The largest that torch takes."""
@@ -127,7 +127,7 @@ def _train_form(
         if not lost.epoch or place.progress is None:
             raise
         kept = place.progress / f"{path.stem}-sgn.safetensors"
-        _write(kept, tensor_bytes(lost.model.state_dict()))
+        save_whole(kept, tensor_bytes(lost.model.state_dict()), ROOM_OR_OUT)
         raise HatnSimError(f"{lost}, in {kept}") from None
     try:
         edn, more = fit_edn(learn, tune, sgn, settings, place, name, start and start.edn)
@@ -265,17 +265,9 @@ def _begin(plan: TrainingPlan, out: Path, site: SiteChoice | None) -> None:
     path = progress_folder(out) / PLAN_FILE
     text = json.dumps({**described(plan), LINES: None if site is None else site.card})
     if site is not None:
-        _write(path.with_name(LINES_FILE), tensor_bytes(choice_tensors(site.choice)))
-    _write(path, text.encode())
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        write_whole(path, lambda file: file.write_bytes(data))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; make room, or choose another --out"
-        ) from None
+        tensors = tensor_bytes(choice_tensors(site.choice))
+        save_whole(path.with_name(LINES_FILE), tensors, ROOM_OR_OUT)
+    save_whole(path, text, ROOM_OR_OUT)
 
 
 def _kept_choice(out: Path) -> SiteChoice | None:
