@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file
 from safetensors.torch import save as tensor_bytes
 
@@ -271,11 +272,23 @@ def _begin(plan: TrainingPlan, out: Path, site: SiteChoice | None) -> None:
 
 
 def _kept_choice(out: Path) -> SiteChoice | None:
-    """The choice of lines that a training which goes on began with."""
+    """The choice of lines that a training which goes on began with.
+
+    Raises InputError where it is lost or damaged: what was trained hangs on it.
+    """
     folder = progress_folder(out)
     path = folder / LINES_FILE
     card = json.loads((folder / PLAN_FILE).read_text(encoding="utf-8")).get(LINES)
-    return None if card is None else SiteChoice(choice_of(path, load_file(path)), card)
+    if card is None:
+        return None
+    try:
+        return SiteChoice(choice_of(path, load_file(path)), card)
+    except (OSError, SafetensorError, InputError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: not the choice of lines of this training ({reason[:160]}); remove the folder "
+            "to begin anew"
+        ) from None
 
 
 def _choosing(plan: TrainingPlan, choice: LineChoice) -> TrainingPlan:
