@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from hatn_sim.commands.evaluate import DURATION_S, HELD_OUT
-from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from hatn_sim.evaluation.table import AblationRow
@@ -195,8 +195,9 @@ def _samples(
 ) -> tuple[Samples, Samples, Mapping[str, Samples]]:
     """To learn from, to tune on, and to judge on, these by scene."""
     from hatn_sim.errors import InputError
+    from hatn_sim.evaluation.pool import cores
     from hatn_sim.learn.ablation_training import whole
-    from hatn_sim.learn.sources import cores, gather
+    from hatn_sim.learn.sources import gather
     from hatn_sim.learn.train import TrainingPlan, collect
 
     workers = arguments.workers or cores()
@@ -213,10 +214,9 @@ def _samples(
 
 def _train(study: Study, rows: Sequence[Row], samples: int, workers: int, watch: Watch) -> None:
     """Train the networks that are missing, as many at a time as there are workers."""
-    from hatn_sim.evaluation.pool import work_on
+    from hatn_sim.evaluation.pool import cores, work_on
     from hatn_sim.learn.ablation_training import Job, is_trained, train_model
     from hatn_sim.learn.ablations import in_order, models_of
-    from hatn_sim.learn.sources import cores
 
     models = models_of(rows)
     called = {row.model: f"{row.table} {row.name}" for row in reversed(rows)}

@@ -9,7 +9,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate import DURATION_S, chosen_folder, chosen_scenarios
+from hatn_sim.commands.evaluate import DURATION_S, chosen_scenarios
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -37,7 +38,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.score.density import density_scores
 
     scenarios = chosen_scenarios(arguments)
-    out = chosen_folder(arguments, (HISTOGRAMS, *FIGURES))
+    out = free_or_own_folder(arguments.out, "density", (HISTOGRAMS, *FIGURES))
     densities = {
         label: _measure(arguments, label, scenario) for label, scenario in scenarios.items()
     }

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from rich.table import Table

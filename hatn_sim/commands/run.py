@@ -178,8 +178,8 @@ def _fitted_choice(
     arguments: argparse.Namespace, scenario: Scenario, predictors: Sequence[Predictor]
 ) -> OthersChoice | None:
     """The choice of lines of --choice-from; None: each predictor has its own."""
-    from hatn_sim.commands.evaluate_predictors import cores
     from hatn_sim.commands.line_choices import choices_for
+    from hatn_sim.evaluation.pool import cores
 
     scenes, asked = {scenario.name: scenario}, arguments.choice_from
     found = choices_for(scenes, predictors, asked, None, cores(), arguments.quiet)

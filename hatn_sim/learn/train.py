@@ -19,6 +19,7 @@ from safetensors.torch import save as tensor_bytes
 
 import hatn_sim
 from hatn_sim.errors import HatnSimError, InputError
+from hatn_sim.evaluation.pool import cores
 from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
@@ -36,7 +37,7 @@ from hatn_sim.learn.fit import Figures, FitSettings, LossError, Workplace, fit
 from hatn_sim.learn.settings import TrainingSettings
 from hatn_sim.learn.sgn_training import Fit, predicted_profiles, train_sgn
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
-from hatn_sim.learn.sources import cores, gather
+from hatn_sim.learn.sources import gather
 from hatn_sim.learn.split import Split
 from hatn_sim.learn.watch import Nobody, Watch
 from hatn_sim.line_choice import LineChoice
