@@ -40,7 +40,6 @@ from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
 from hatn_sim.learn.sources import gather
 from hatn_sim.learn.split import Split
 from hatn_sim.learn.watch import Nobody, Watch
-from hatn_sim.line_choice import LineChoice
 from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
 MAX_SEED: Final = 2**64 - 1
@@ -87,9 +86,8 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
     watch = watch or Nobody()
     place = replace(begin_work(plan, out, watch), progress=progress_folder(out))
     going_on = _goes_on(plan, out)
-    site = _kept_choice(out) if going_on else fit_to_sites(plan.split, _workers(plan), watch)
-    choice = None if site is None else site.choice
-    learn, tune = collect(plan if choice is None else _choosing(plan, choice), watch)
+    site = _kept_choice(out) if going_on else fit_lines(plan, watch)
+    learn, tune = collect(choosing(plan, site), watch)
     if not going_on:
         _begin(plan, out, site)
     cards: dict[str, dict[str, Any]] = {}
@@ -100,7 +98,7 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
             continue
         name = form if len(plan.forms) > 1 else ""
         card = _card(plan, form, settings, len(learn), len(tune), site)
-        save = partial(save_weights, path, line_choice=choice)
+        save = partial(save_weights, path, line_choice=site and site.choice)
         start = plan.start if form == STARTED_FORM else None
         cards[form] = _train_form(learn, tune, settings, start, place, name, path, card, save)
     shutil.rmtree(progress_folder(out), ignore_errors=True)
@@ -292,8 +290,14 @@ def _kept_choice(out: Path) -> SiteChoice | None:
         ) from None
 
 
-def _choosing(plan: TrainingPlan, choice: LineChoice) -> TrainingPlan:
-    return replace(plan, split=plan.split.with_choice(choice))
+def fit_lines(plan: TrainingPlan, watch: Watch) -> SiteChoice | None:
+    """The choice of lines for the plan's recordings; None: that which ships is as good."""
+    return fit_to_sites(plan.split, _workers(plan), watch)
+
+
+def choosing(plan: TrainingPlan, site: SiteChoice | None) -> TrainingPlan:
+    """The plan with the choice of lines that `fit_lines` found."""
+    return plan if site is None else replace(plan, split=plan.split.with_choice(site.choice))
 
 
 def _workers(plan: TrainingPlan) -> int:
