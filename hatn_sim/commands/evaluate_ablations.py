@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from hatn_sim.commands.evaluate import DURATION_S, HELD_OUT
 from hatn_sim.commands.folders import free_or_own_folder
+from hatn_sim.evaluation.paper import SUMMARISES
 
 if TYPE_CHECKING:
     from hatn_sim.evaluation.table import AblationRow
@@ -50,14 +51,17 @@ CURVES: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "true goal": ("intention.a", "Input"),
         "hatn": ("intention.b", "hatn"),
     },
-    "summary": {
-        name: ("summary", name)
-        for name in (
-            "Baseline", "Feature", "Representation", "Goal State Signal", "Time Signal", "hatn"
-        )
-    },
-}  # fmt: skip
+    "summary": {name: ("summary", name) for name in SUMMARISES},
+}
 """Table -> curves of the figure of the error by step, by name, and the rows that they are of."""
+JUDGED: Final = (
+    "every vehicle that is on a line, standing or moving, twice a second where it was seen for a "
+    "second before and is for 3 s after; slots where it has more than one to choose from"
+)
+NOTES: Final = {
+    "summary": "Ours: the paper's whole method adapts online; beside it hatn, which does not"
+}
+"""What is to be said below a table, whosever rows it shows."""
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -85,7 +89,7 @@ def main(arguments: argparse.Namespace) -> int:
     caption = (
         f"ours: learnt from {len(learn):,} samples of {_traffic(split, 'train')}, seen at most "
         f"{study.how.epochs} times each; tuned on {len(tune):,} samples of "
-        f"{_traffic(split, 'tune')}; judged on {_traffic(split, 'test')}"
+        f"{_traffic(split, 'tune')}; judged on {_traffic(split, 'test')}: {JUDGED}"
     )
     return _print(arguments, out, judged.rows, judged.clustered_over, caption)
 
@@ -139,8 +143,8 @@ def _print(
     for part, of_part in parts:
         console.print(paper_table(part, of_part, clustered_over))
         print()
-    if caption:
-        console.print(caption, style="dim", markup=False, highlight=False)
+    for line in filter(None, (NOTES.get(table), caption)):
+        console.print(line, style="dim", markup=False, highlight=False)
     print(f"numbers in {csv_path}")
     return 0
 
