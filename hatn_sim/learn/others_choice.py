@@ -3,6 +3,13 @@
 Labels of the choice are hindsight of tracks alone (METHOD section 1.1), so the recordings that drew
 the lines of another can also teach which of these lines drivers take. The recording itself has no
 part in it: neither in the lines nor in the choice.
+
+Whether it is taken is judged more kindly than on a recording that is scored: the half held out from
+the fit has helped to draw the lines that it is judged on, so one of them fits its drivers better
+than it fits strangers. What it is compared with, the choice of the weights, is judged on the same
+lines by the same drivers; so the errors of both are too small, and the comparison is fair but for a
+fit that gains from lines drawn too near. Lines drawn anew without each half would cost as much
+again, and could be too few to drive on.
 """
 
 from __future__ import annotations
