@@ -12,7 +12,6 @@ from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.log import Run
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.choice import choose_moment
-from hatn_sim.report.figures import save_figure
 from hatn_sim.report.moment import Moment, moment_at
 
 __all__ = ["choose_moment", "draw_moment"]
@@ -31,6 +30,7 @@ def draw_moment(run: Run, frame: int, ego_id: str, out_png: Path) -> None:
     """
     from hatn_sim.report.canvas import POSTER, open_sheet
     from hatn_sim.report.drawing import draw_moment_on
+    from hatn_sim.report.figures import save_figure
 
     moment = moment_at(run, frame, ego_id)
     lanes = read_road(run.path / ROAD_FILE)
