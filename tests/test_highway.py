@@ -390,9 +390,11 @@ def test_traffic_of_our_places_flows(name: str) -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_vehicles_are_within_a_metre_of_their_lines(name: str) -> None:
-    with HighwaySimulator(load_scenario(name)) as simulator:
+    # Our places begin with one vehicle.
+    density, seconds = ("dense", 60) if name in PLACES else ("normal", 30)
+    with HighwaySimulator(load_scenario(name, density=density)) as simulator:
         simulator.reset(11)
-        rows = measure_fidelity((simulator.step() for _ in range(300)), simulator.road)
+        rows = measure_fidelity((simulator.step() for _ in range(10 * seconds)), simulator.road)
     keeping = {row.mode: row for row in rows if row.state == "keeping lane"}
     for row in keeping.values():
         assert isinstance(row, Closeness) and row.n > 500
