@@ -12,7 +12,9 @@ import hatn_sim
 
 PACKAGE = Path(hatn_sim.__file__).parent
 
-HIGHWAY = tuple(f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_traffic"))
+HIGHWAY = tuple(
+    f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_places", "_traffic")
+)
 
 ONLY_IN = {
     "torch": ("hatn", "learn"),
