@@ -12,6 +12,7 @@ from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.log import Run
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.choice import choose_moment
+from hatn_sim.report.figures import save_figure
 from hatn_sim.report.moment import Moment, moment_at
 
 __all__ = ["choose_moment", "draw_moment"]
@@ -37,8 +38,7 @@ def draw_moment(run: Run, frame: int, ego_id: str, out_png: Path) -> None:
     centre, width_m = camera([moment], wide / high)
     sheet = open_sheet(POSTER, lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
-    # No "Software": its version would change the bytes.
-    sheet.figure.savefig(out_png, format="png", metadata={"Software": None})
+    save_figure(sheet.figure, [out_png])
 
 
 def caption(run: Run, moment: Moment) -> str:
