@@ -483,6 +483,7 @@ def test_every_environment_with_roads_runs(environment: str) -> None:
             {"arms": [{"angle": 1.0}]},
             "unexpected keyword argument 'angle'",
         ),
+        ("regulated-junction-v0", {"arms": []}, "arms: expected two or more"),
         ("regulated-junction-v0", {"ways": [[0, 7]]}, "ways: expected pairs of different arms"),
         ("regulated-junction-v0", {"ways": [[1, 1]]}, "ways: expected pairs of different arms"),
     ],

@@ -81,6 +81,8 @@ class RegulatedJunction(ConnectedLaneIntersectionEnv):
 
     def _make_road(self) -> None:
         arms = [Arm(**settings) for settings in self.config["arms"]]
+        if len(arms) < 2:
+            raise ValueError("arms: expected two or more")
         inner_m = float(self.config["inner_m"])
         ways = self.config["ways"] or [
             (a, b) for a in range(len(arms)) for b in range(len(arms)) if a != b
