@@ -34,14 +34,16 @@ VERBS: Final = {
 class _Parser(argparse.ArgumentParser):
     """argparse with this project's kind of error: one line that says what to do."""
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+    def parse_known_args(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, args: Any = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
         """As argparse does it, but that an unknown option is an error that names the nearest."""
         found, unknown = super().parse_known_args(args, namespace)
         for word in unknown:
             name = word.partition("=")[0]
-            close = difflib.get_close_matches(name, self._option_string_actions, n=2)
+            close = difflib.get_close_matches(name, self._option_string_actions, n=1)
             if name.startswith("--"):
-                meant = f"; did you mean {' or '.join(close)}?" if close else ""
+                meant = f"; did you mean {close[0]}?" if close else ""
                 self.error(f"unknown option {name}{meant}")
         return found, unknown
 

@@ -22,6 +22,7 @@ NO_PART_IN_SAMPLES: Final = (
     "predictors",
     "report",
     "score",
+    "whole_file",
     "bench",
     "cli",
     "hatn/",

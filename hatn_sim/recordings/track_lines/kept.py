@@ -13,8 +13,8 @@ from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError
 from hatn_sim.learn.content import content_hash
 from hatn_sim.learn.kept import source_version
-from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.log.road_file import read_road, write_road
+from hatn_sim.whole_file import write_whole
 
 SUFFIX: Final = ".road.json.gz"
 
