@@ -443,7 +443,7 @@ def cut_events(run: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (damage_version, "run.json: expected schema version 1, found 99; make the run again"),
+        (damage_version, "run.json: expected schema version 2, found 99; make the run again"),
         (damage_head, "run.json: expected the head of a run's log, found damage"),
         (head_with(predictors=None), "predictors: expected list, found None"),
         (head_with(predictors=[1]), "predictors: expected names, found [1]"),

@@ -98,6 +98,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help="vehicles that get suggestions and alerts (default: all)",
     )
+    parser.add_argument(
+        "--assist",
+        action="store_true",
+        help="take whoever is advised (--egos, default: all) for one who acts on it: never adapted",
+    )
     add_traffic(parser)
     add_driving(parser)
     parser.add_argument(
@@ -124,6 +129,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.traffic import ids_by, open_traffic
 
     started = time.monotonic()
+    _check_assist(arguments)
     scenario = with_lines_from(with_driving(chosen_scenario(arguments), arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     if arguments.warm_up is None:
@@ -165,6 +171,16 @@ def main(arguments: argparse.Namespace) -> int:
         return 130
     except SimulatorError as error:
         raise SimulatorError(f"{error}; repeat with `{header['command']}`{where}") from None
+
+
+def _check_assist(arguments: argparse.Namespace) -> None:
+    from hatn_sim.errors import InputError
+
+    if arguments.assist and arguments.egos is None and arguments.adapt != "none":
+        raise InputError(
+            f"--assist --adapt {arguments.adapt}: everybody is advised, and nobody who is advised "
+            "is adapted; name those advised with --egos, or leave out --adapt"
+        )
 
 
 def _check_out(out: Path) -> None:
