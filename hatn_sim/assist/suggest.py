@@ -33,18 +33,21 @@ from hatn_sim.datatypes import (
     Suggestion,
 )
 
-SPEAK_MARGIN: Final = 0.25
+SPEAK_MARGIN: Final = 0.4
 """Advice begins where the best slot leads the next by this much ..."""
-SILENT_MARGIN: Final = -0.25
+NEAR_S: Final = 4.0
+NEAR_M: Final = 10.0
+"""Nor does it begin farther than either from the conflict, at the present speed."""
+SILENT_MARGIN: Final = -0.4
 """... and is doubted where another leads the one advised by this much."""
 DOUBT_FRAMES: Final = 5
 """Advice that is doubted for so long changes; at once where it would be unsafe."""
-PASS_MARGIN_S: Final = 0.3
+PASS_MARGIN_S: Final = 0.1
 """A pass is advised where the ego is out so long before anybody may plausibly come in ..."""
 KEEP_PASS_MARGIN_S: Final = 0.0
 """... and stays advised while it is out before."""
 WAIT_KNOT: Final = 2
-"""Who can still stop in comfort after so many knots of a pass may go by what is predicted."""
+"""Whoever can still stop in comfort after so many knots of a pass need not give it up yet."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
 HORIZON_S: Final = KNOTS * KNOT_S
@@ -180,7 +183,10 @@ def _likely(
     told = np.where(same.any(axis=1), same.argmax(axis=1), -1)
     stands = (told >= 0) & (_margin(chance, np.maximum(told, 0)) > SILENT_MARGIN)
     slot = np.where(stands, told, chance.argmax(axis=1))
-    return _Likely(chance, first, told, slot, stands | (_margin(chance, slot) >= SPEAK_MARGIN))
+    speed = scene.speed_mps[graphs.ego[row]]
+    near = graphs.ego_to_conflict_m[row, 0] <= np.maximum(NEAR_S * speed, NEAR_M)
+    speaks = stands | ((told >= 0) | near) & (_margin(chance, slot) >= SPEAK_MARGIN)
+    return _Likely(chance, first, told, slot, speaks)
 
 
 def _margin(chance: FloatArray, slot: IntArray) -> FloatArray:
@@ -267,7 +273,7 @@ def _choose(
     doubted = np.array([0 if told is None else told.doubted for told in before])
     told = likely.told
     safe = options.margin_s >= np.where(told > 0, KEEP_PASS_MARGIN_S, PASS_MARGIN_S)
-    safe |= options.can_wait & (options.likely_margin_s >= PASS_MARGIN_S)
+    safe |= options.can_wait
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     gentle = options.stays_out & (options.yields.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
