@@ -34,7 +34,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import AlertInterval, FloatArray, IntArray, Score
+from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, Score
 from hatn_sim.score import intervals
 from hatn_sim.score.assessed import AssessedRun
 from hatn_sim.score.dangers import alerts_at, oracle_alerts
@@ -81,6 +81,12 @@ class Warned:
     counts: FloatArray  # [G, len(COLUMNS)]
     lead_s: FloatArray  # [L] of every event that an alert preceded
     run_of_lead: IntArray  # [L]
+
+    def of_runs(self, chosen: BoolArray) -> Warned:
+        """The same of some of the runs [G]."""
+        kept = chosen[self.run_of_lead]
+        number = np.cumsum(chosen) - 1
+        return Warned(self.counts[chosen], self.lead_s[kept], number[self.run_of_lead[kept]])
 
     def rate(self, measure: str) -> float:
         """A ratio over all runs; NaN where there is nothing to divide by."""

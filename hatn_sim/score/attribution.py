@@ -1,10 +1,10 @@
 """For whom a vehicle braked: the foe with the smallest encroachment time in the second before.
 
 At three moments of the second before the braking it is asked what would have come: the vehicle
-drives on, on the way that it really took later, at the speed that it had. A foe is taken both ways:
-as it really drove on, and at the speed that it had on its own way, so that neither one who stops
-himself nor one who starts from a standstill is missed. The encroachment time is the least |tau| at
-which the outline of the one at t and that of the other at t + tau overlap.
+drives on, on the way that it really took later, at the speed that it had, or speeding up as it did.
+A foe is taken both ways: as it really drove on, and as the vehicle itself, so that neither one who
+stops himself nor one who starts from a standstill is missed. The encroachment time is the least
+|tau| at which the outline of the one at t and that of the other at t + tau overlap.
 
 Nobody brakes for those behind: who is on the way that the vehicle has come, heading as it did, is
 no foe. A leader is: its encroachment time is the time gap to it.
@@ -27,6 +27,10 @@ LOOKED_BACK_FRAMES: Final = (0, 5, 10)
 HORIZON_S: Final = 6.0
 STEP_S: Final = 0.2
 REACH_M: Final = 100.0
+SPEEDING_UP_FRAMES: Final = 5
+"""Acceleration is the mean over so many."""
+FASTEST_MPS: Final = 15.0
+"""Who speeds up does so up to this, or to the speed it has."""
 BEHIND_FRAMES: Final = 60
 BEHIND_M: Final = 1.5
 """This near to where the vehicle was: behind it on its way."""
@@ -61,14 +65,14 @@ def foe_of_braking(driven: Driven, vehicle: int, frame: int) -> Found | None:
         place = int(np.searchsorted(driven.frame[own_rows], at)) + own_rows.start
         if place >= own_rows.stop or driven.frame[place] != at:
             continue
-        own = _held(driven, place, own_rows.stop)
+        own = _held(driven, place, own_rows)
         for row in np.flatnonzero(driven.frame == at).tolist():
             foe = int(driven.vehicle[row])
             away_m = np.hypot(*(driven.xy_m[row] - driven.xy_m[place]))
             if foe == vehicle or away_m > REACH_M or _is_behind(driven, own_rows, place, row):
                 continue
-            last = driven.rows_of(foe).stop
-            for way in (_held(driven, row, last), _real(driven, row, last)):
+            rows = driven.rows_of(foe)
+            for way in (_held(driven, row, rows), _real(driven, row, rows.stop)):
                 met = _encroachment(own, driven.size_m[vehicle], way, driven.size_m[foe])
                 if met is not None and (best is None or (*met, foe) < best):
                     best = (*met, foe)
@@ -89,11 +93,16 @@ def _is_behind(driven: Driven, own_rows: slice, place: int, row: int) -> bool:
     return bool(away_m[there] < BEHIND_M and turned < BEHIND_RAD and is_nearer)
 
 
-def _held(driven: Driven, row: int, stop: int) -> _Way:
-    """On at the speed of `row` along what was really driven, and straight on behind its end."""
-    xy_m, yaw_rad = driven.xy_m[row:stop], np.unwrap(driven.yaw_rad[row:stop])
+def _held(driven: Driven, row: int, rows: slice) -> _Way:
+    """On as in `row` along what the vehicle of `rows` really drove, straight on behind its end."""
+    xy_m, yaw_rad = driven.xy_m[row : rows.stop], np.unwrap(driven.yaw_rad[row : rows.stop])
     path_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T)))
-    wanted_m = driven.speed_mps[row] * _MOMENTS_S
+    before, speed_mps = max(rows.start, row - SPEEDING_UP_FRAMES), driven.speed_mps[row]
+    gained_mps = speed_mps - driven.speed_mps[before]
+    gain_mps2 = max(gained_mps / (DT_S * max(row - before, 1)), 0.0)
+    speeds_mps = np.minimum(speed_mps + gain_mps2 * _MOMENTS_S, max(FASTEST_MPS, speed_mps))
+    steps_m = STEP_S * 0.5 * (speeds_mps[1:] + speeds_mps[:-1])
+    wanted_m = np.append(0.0, np.cumsum(steps_m))
     along = np.array([np.interp(wanted_m, path_m, values) for values in xy_m.T]).T
     beyond_m = np.maximum(wanted_m - path_m[-1], 0.0)
     ahead = np.array([np.cos(yaw_rad[-1]), np.sin(yaw_rad[-1])])
