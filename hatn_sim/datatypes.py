@@ -263,6 +263,36 @@ class Alert:
     reason: str
 
 
+@dataclass(frozen=True)
+class AlertInterval:
+    """An alert from onset to end, about an unordered pair of vehicles."""
+
+    first_id: str  # the two ids, sorted
+    second_id: str
+    type: str  # "CONFLICT" or "DEVIATION"
+    onset_s: float
+    end_s: float
+    peak_s: float
+    severity: float  # 0 ... 1, at the peak
+    danger: float  # at the peak, in the unit of the rule that raised it; higher is worse
+
+
+@dataclass(frozen=True)
+class SafetyEvent:
+    """Something unsafe that really happened, known only afterwards (METHOD section 7).
+
+    Tiers: "T1" collision, "T2" evasive braking, "T3" second entry soon after the first left; and
+    "brief", a braking that is hard in single frames only, which is counted apart.
+    """
+
+    tier: str
+    first_id: str  # ids sorted; of an unattributed event: who braked
+    second_id: str | None  # None: nobody was near enough to be the reason
+    start_s: float
+    cause: str  # "contact", "hard braking", "emergency braking" or "encroachment"
+    encroachment_s: float | None = None  # of T2 that would have been, of T3 that was
+
+
 @dataclass(frozen=True, eq=False)
 class Advice:
     prediction: Prediction
