@@ -54,8 +54,9 @@ def drive(*ways: tuple[str, np.ndarray], **more: object) -> Driven:
 
 def test_a_pair_that_touches_again_is_one_collision_at_its_first_contact() -> None:
     contacts = [(101.0, "b", "a"), (101.1, "a", "b"), (102.5, "b", "a"), (101.4, "a", "c")]
-    driven = drive(("a", standing(0, 0)), ("b", standing(0, 9)), ("c", standing(0, -9)),
-                   collisions=contacts)  # fmt: skip
+    driven = drive(
+        ("a", standing(0, 0)), ("b", standing(0, 9)), ("c", standing(0, -9)), collisions=contacts
+    )
     found = collisions(driven)
     assert [(e.tier, e.first_id, e.second_id) for e in found] == [
         ("T1", "a", "b"),
@@ -65,8 +66,11 @@ def test_a_pair_that_touches_again_is_one_collision_at_its_first_contact() -> No
 
 
 def test_a_pair_that_touched_before_anybody_looked_is_left_out() -> None:
-    driven = drive(("a", standing(0, 0)), ("b", standing(0, 9)),
-                   collisions=[(100.0, "a", "b"), (100.1, "a", "b")])  # fmt: skip
+    driven = drive(
+        ("a", standing(0, 0)),
+        ("b", standing(0, 9)),
+        collisions=[(100.0, "a", "b"), (100.1, "a", "b")],
+    )
     assert collisions(driven) == []
 
 
@@ -88,7 +92,7 @@ def test_a_pair_that_touched_before_anybody_looked_is_left_out() -> None:
         # Beyond comfort, but never hard.
         (speeds((10, 0.0), (20, -4.4), (33, 0.0)), None),
     ],
-)  # fmt: skip
+)
 def test_when_a_braking_starts(profile: np.ndarray, expected: tuple[int, bool] | None) -> None:
     found = brakings(drive(("a", straight(profile, 0.0, -60.0, 0.0))))
     assert [(one.start_frame, one.brief) for one in found] == (
