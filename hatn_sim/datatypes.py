@@ -327,6 +327,64 @@ class Score:
 
 
 # ---------------------------------------------------------------------------------------------
+# What might have been
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Drive a vehicle open loop, whatever is in its way; then the simulator's driver has it back.
+
+    In SUMO's terms: speed mode 32, all of its checks off (safe gap, right of way, the vehicle's
+    limits). Without effect while the vehicle is not on the road.
+    """
+
+    ego_id: str
+    start_s: float  # from now; until then the simulator's own driver drives
+    speed_mps: FloatArray  # [F] at the end of each tick from the start on
+
+
+@dataclass(frozen=True)
+class Lawful:
+    """Let a vehicle keep the rules of right of way and of signals, if its driver does not.
+
+    SUMO holds most of what makes a driver break them with the vehicle's type: whoever shares the
+    type keeps the rules as well. (A type of its own would upset what its driver has in mind.)
+    """
+
+    ego_id: str
+
+
+Change = Plan | Lawful
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """What becomes of a simulation from now on, or would with changes to it.
+
+    The first of the B frames is now. Rows of N are all vehicles ever there (no pedestrians);
+    where `valid` is False the numbers are 0 and mean nothing.
+    """
+
+    ids: tuple[str, ...]  # [N]
+    time_s: FloatArray  # [B] as in Scene
+    valid: BoolArray  # [B, N]
+    xy_m: FloatArray  # [B, N, 2]
+    yaw_rad: FloatArray  # [B, N]
+    speed_mps: FloatArray  # [B, N]
+    size_m: FloatArray  # [N, 2] length, width
+    collisions: tuple[tuple[float, str, str], ...]  # time, ids sorted; repeated while they touch
+    emergency_braking: tuple[tuple[float, str], ...]  # time, id; repeated while it brakes
+
+
+class BranchFuture(Protocol):
+    """A branch that is being driven while the simulation goes on."""
+
+    def result(self) -> Branch | None:
+        """Waits for the branch; None where it was lost, because what drove it died."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------
 # The protocols
 
 
@@ -348,6 +406,20 @@ class Simulator(Protocol):
     def reset(self, seed: int) -> Frame: ...
 
     def step(self, commands: Sequence[Command] = ()) -> Frame: ...
+
+    @property
+    def cannot_branch(self) -> str | None:
+        """Why `branch` raises InputError, in one line; None where it does not."""
+        ...
+
+    def branch(
+        self, futures: Sequence[Sequence[Change]], horizon_s: float
+    ) -> Sequence[BranchFuture]:
+        """Starts one branch per set of changes; the empty set is the future as it will be.
+
+        The simulation itself is left as it is, and may go on while the branches are driven.
+        """
+        ...
 
     def close(self) -> None: ...
 
