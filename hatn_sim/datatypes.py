@@ -214,6 +214,8 @@ class SemanticGraphs:
     rear_to_conflict_m: FloatArray  # [E, M] of the rear vehicle, along its line
     conflict_xy_m: FloatArray  # [E, M, 2] the conflict point on the ego's line
     conflict_type: IntArray  # [E, M] ConflictType
+    leader: IntArray  # [E] the vehicle ahead in the ego's corridor, -1: none
+    leader_gap_m: FloatArray  # [E] from bumper to bumper; 0 where there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,12 +243,13 @@ class Suggestion:
     time_s: float
     action: str  # "yield", "pass" or "abstain"
     slot_id: str | None  # the vehicle to pass before; on yield: the one to let go first
-    probability: float
-    margin: float  # to the second best slot
-    target_time_s: float  # from now until the ego is at the conflict
-    advised_speed_mps: float
+    probability: float  # that the ego takes this slot
+    margin: float  # to the most probable of the other slots
+    target_time_s: float  # from now until the ego, driving the profile, is at the conflict
+    advised_speed_mps: float  # mean of the profile until then
     feasible: bool  # within the comfort limits
     text: str
+    profile_mps: tuple[float, ...] = ()  # speed at the end of each tick; empty on abstention
 
 
 @dataclass(frozen=True)
