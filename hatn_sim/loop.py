@@ -14,7 +14,6 @@ import numpy as np
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.danger import hatn_rule
 from hatn_sim.assist.moment import Moment, Recent
-from hatn_sim.assist.risk import encounters
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.assist.suggest import SuggestionState, suggest
 from hatn_sim.datatypes import (
@@ -176,12 +175,9 @@ def advise(
     """What to make of a prediction: suggestions and alerts, where it has slots."""
     if not adviser.advises or prediction.graphs is None or prediction.slot_probability is None:
         return state, Advice(prediction, (), ())
-    perception, settings = state.perception, adviser.settings
-    meeting = encounters(perception.road, scene, prediction)
-    told, suggestions = suggest(state.suggestions, scene, prediction, meeting, adviser.egos)
-    earlier = state.recent.earlier(scene.time_s)
-    moment = Moment(perception.road, perception.seen, prediction, earlier, settings)
-    warned, alerts = alert(state.alerts, scene, hatn_rule(moment), settings, adviser.egos)
+    told, suggestions = suggest(state.suggestions, scene, prediction, adviser.egos)
+    dangers = hatn_rule(moment_of(adviser, state, prediction))
+    warned, alerts = alert(state.alerts, scene, dangers, adviser.settings, adviser.egos)
     after = replace(
         state,
         suggestions=told,
@@ -189,6 +185,13 @@ def advise(
         recent=state.recent.with_newest(scene.time_s, prediction),
     )
     return after, Advice(prediction, suggestions, alerts)
+
+
+def moment_of(adviser: Adviser, state: AdviserState, prediction: Prediction) -> Moment:
+    """What alert rules look at; `state` is that of before `advise`."""
+    perception = state.perception
+    earlier = state.recent.earlier(perception.seen.scene.time_s)
+    return Moment(perception.road, perception.seen, prediction, earlier, adviser.settings)
 
 
 def warm_up(simulator: Simulator, frame: Frame, frames: int) -> Frame:

@@ -66,8 +66,7 @@ def alert(
         before = still.get(key)
         starts = value >= settings.alert_onset_mps2
         goes_on = (
-            before is not None
-            and scene.time_s - before.last_s <= settings.end_after_s + ROUNDING_S
+            before is not None and scene.time_s - before.last_s <= settings.end_after_s + ROUNDING_S
         )
         if not starts and not goes_on:
             continue
@@ -106,9 +105,7 @@ def alert(
     return AlertState(still, count), tuple(edges)
 
 
-def _worst(
-    dangers: PairDangers, least: float
-) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+def _worst(dangers: PairDangers, least: float) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
     """Pairs with a danger of `least` or more, each once a type, with its greatest danger."""
     some = np.flatnonzero(dangers.danger >= least)
     first, second, danger = dangers.first[some], dangers.second[some], dangers.danger[some]

@@ -117,9 +117,7 @@ def _first_of_each(key: IntArray, rank: FloatArray) -> IntArray:
     return order[np.flatnonzero(np.diff(sorted_key, prepend=-1))]
 
 
-def _following(
-    scene: Scene, lines: Lines, leader: IntArray, leader_s_m: FloatArray
-) -> Pairs:
+def _following(scene: Scene, lines: Lines, leader: IntArray, leader_s_m: FloatArray) -> Pairs:
     follower = np.flatnonzero(leader >= 0)
     index = np.stack((leader[follower], follower), axis=1)
     away = leader_s_m[follower] - lines.s_m[follower]

@@ -16,14 +16,12 @@ from typing import Any, Final
 import numpy as np
 
 from hatn_sim.config import Scenario
-from hatn_sim.datatypes import DT_S, Frame, Prediction, Predictor, Scene, Simulator
+from hatn_sim.datatypes import DT_S, Frame, Predictor, Simulator
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
-from hatn_sim.evaluation.alert_rules import Moment, chosen_rules
+from hatn_sim.evaluation.alert_rules import chosen_rules
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.evaluation.runs import network_of_process
-from hatn_sim.loop import Adviser, AdviserState, advise, begin, observe, warm_up
-from hatn_sim.perception import PerceptionState
-from hatn_sim.predictors.constant_velocity import extrapolate
+from hatn_sim.loop import Adviser, AdviserState, advise, begin, moment_of, observe, warm_up
 from hatn_sim.score.advised import AdviceRecorder
 from hatn_sim.score.assessed import AssessedRun, read_assessed, write_assessed
 from hatn_sim.score.dangers import DangerRecorder
@@ -114,7 +112,7 @@ class _Looking:
     def __init__(
         self, plan: AssessPlan, predictor: Predictor, simulator: Simulator, start_s: float
     ) -> None:
-        self._plan, self._road = plan, simulator.road
+        self._plan = plan
         self._adviser = Adviser(predictor)
         self._state: AdviserState = begin(self._adviser, simulator.road)
         self._rules = chosen_rules(plan.rules)
@@ -133,11 +131,10 @@ class _Looking:
         if index % LOOK_EVERY_FRAMES:
             return
         prediction = self._adviser.predictor.predict(self._state.memory)
+        moment = moment_of(self._adviser, self._state, prediction)
         self._state, advice = advise(self._adviser, self._state, frame.scene, prediction)
         sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
         self._advice.add(index, frame.scene.time_s, advice, sampled)
-        memory: PerceptionState = self._state.memory
-        moment = Moment(self._road, memory.seen, prediction, extrapolation(frame.scene))
         for name, rule in self._rules.items():
             found = rule(moment)
             self._dangers[name].add(
@@ -164,12 +161,3 @@ class _Looking:
             made_with=plan.made_with,
             notices=notices,
         )
-
-
-def extrapolation(scene: Scene) -> Prediction:
-    """Everybody at constant velocity."""
-    count = len(scene.ids)
-    nobody = np.zeros(count, dtype=np.bool_)
-    return Prediction(
-        scene.ids, extrapolate(scene)[:, None], np.ones((count, 1)), fallback=nobody, adapted=nobody
-    )

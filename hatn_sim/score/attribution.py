@@ -31,9 +31,10 @@ SPEEDING_UP_FRAMES: Final = 5
 """Acceleration is the mean over so many."""
 FASTEST_MPS: Final = 15.0
 """Who speeds up does so up to this, or to the speed it has."""
-BEHIND_FRAMES: Final = 60
 BEHIND_M: Final = 1.5
 """This near to where the vehicle was: behind it on its way."""
+BEFORE_M: Final = np.arange(1.0, 61.0)
+"""Before it came into view it is taken to have driven straight."""
 BEHIND_RAD: Final = np.deg2rad(60.0)
 
 
@@ -83,12 +84,15 @@ def foe_of_braking(driven: Driven, vehicle: int, frame: int) -> Found | None:
 
 def _is_behind(driven: Driven, own_rows: slice, place: int, row: int) -> bool:
     """The vehicle of `row` is where that of `place` came from, heading as it did."""
-    come = slice(max(own_rows.start, place - BEHIND_FRAMES), place)
-    if come.start == come.stop:
-        return False
-    away_m = np.hypot(*(driven.xy_m[come] - driven.xy_m[row]).T)
+    first = own_rows.start
+    back = np.array([np.cos(driven.yaw_rad[first]), np.sin(driven.yaw_rad[first])])
+    come_m = np.concatenate(
+        [driven.xy_m[first] - BEFORE_M[::-1, None] * back, driven.xy_m[first:place]]
+    )
+    away_m = np.hypot(*(come_m - driven.xy_m[row]).T)
     there = int(away_m.argmin())
-    turned = abs(float(wrap_angle(driven.yaw_rad[come][there] - driven.yaw_rad[row])))
+    yaw_rad = driven.yaw_rad[max(first, first + there - len(BEFORE_M))]
+    turned = abs(float(wrap_angle(yaw_rad - driven.yaw_rad[row])))
     is_nearer = away_m[there] < np.hypot(*(driven.xy_m[place] - driven.xy_m[row]))
     return bool(away_m[there] < BEHIND_M and turned < BEHIND_RAD and is_nearer)
 

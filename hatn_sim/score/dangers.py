@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.moment import TYPES
 from hatn_sim.datatypes import AlertInterval, FloatArray, IntArray, SafetyEvent
 
-TYPES: Final = ("CONFLICT", "DEVIATION")
 RELEASE: Final = 0.8
 """An alert ends when its danger stays under this share of the threshold ..."""
 END_AFTER_S: Final = 0.5
