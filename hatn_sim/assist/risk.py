@@ -168,7 +168,7 @@ def required_deceleration_mps2(
     2 (v t - d) / t^2 while it still rolls then, v^2 / 2d where it has to stop before; 0 where it
     would come later anyhow (after Archer 2005, eq. 4.6; the limit is the arrival of the other).
     """
-    time = np.maximum(time_s, 1e-3)
+    time = np.clip(time_s, 1e-3, 1e6)  # whoever never leaves, leaves late
     rolling = 2.0 * (speed_mps * time - distance_m) / time**2
     stopping = speed_mps**2 / (2.0 * np.maximum(distance_m, 0.1))
     needed = np.where(rolling * time > speed_mps, stopping, rolling)

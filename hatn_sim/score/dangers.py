@@ -70,9 +70,9 @@ class DangerRecorder:
         rows = np.concatenate([np.zeros((0, 5)), *self._rows])
         place = np.argsort(np.argsort(np.array(list(self._index), dtype=np.str_)))
         pair = np.sort(place[rows[:, 1:3].astype(np.int64)], axis=1)
-        order = np.lexsort((-rows[:, 3], rows[:, 0], rows[:, 4], pair[:, 1], pair[:, 0]))
+        order = np.lexsort((-rows[:, 3], rows[:, 0], pair[:, 1], pair[:, 0]))
         rows, pair = rows[order], pair[order]
-        key = np.column_stack([pair, rows[:, 4], rows[:, 0]])
+        key = np.column_stack([pair, rows[:, 0]])
         keep = np.ones(len(rows), dtype=np.bool_)
         keep[1:] = (np.diff(key, axis=0) != 0.0).any(axis=1)
         rows, pair = rows[keep], pair[keep]
@@ -85,14 +85,15 @@ def alerts_at(trace: DangerTrace, threshold: float) -> list[AlertInterval]:
     """The alerts of a rule at a threshold, by onset.
 
     An alert begins where a pair's danger reaches the threshold, and ends at the last moment at
-    which it was at least `RELEASE` of that, if that was `END_AFTER_S` ago or the run is over.
+    which it was at least `RELEASE` of that, if that was `END_AFTER_S` ago or the run is over. Its
+    type is that of its onset.
     """
     row = np.flatnonzero(trace.danger >= RELEASE * threshold)
     if not len(row):
         return []
-    key = np.column_stack([trace.first, trace.second, trace.type])[row]
-    time_s, danger = trace.time_s[row], trace.danger[row]
-    new_pair = (np.diff(key, axis=0) != 0).any(axis=1)
+    pair = np.column_stack([trace.first, trace.second])[row]
+    time_s, danger, kind = trace.time_s[row], trace.danger[row], trace.type[row]
+    new_pair = (np.diff(pair, axis=0) != 0).any(axis=1)
     begins = np.concatenate(([True], new_pair | (np.diff(time_s) > END_AFTER_S + ROUNDING_S)))
     start = np.flatnonzero(begins)
     stop = np.append(start[1:], len(row))
@@ -105,21 +106,21 @@ def alerts_at(trace: DangerTrace, threshold: float) -> list[AlertInterval]:
             continue
         onset = int(reached[at])
         peak = onset + int(danger[onset:end].argmax())
-        one, other, kind = key[onset].tolist()
+        one, other = pair[onset].tolist()
         alert = AlertInterval(
             first_id=trace.ids[one],
             second_id=trace.ids[other],
-            type=TYPES[kind],
+            type=TYPES[int(kind[onset])],
             onset_s=float(time_s[onset]),
             end_s=float(time_s[end - 1]),
             peak_s=float(time_s[peak]),
             severity=0.0,
             danger=float(danger[peak]),
         )
-        if before == (one, other, kind) and alert.onset_s - alerts[-1].end_s < COOL_DOWN_S:
+        if before == (one, other) and alert.onset_s - alerts[-1].end_s < COOL_DOWN_S - ROUNDING_S:
             alert = _joined(alerts.pop(), alert)
         alerts.append(alert)
-        before = (one, other, kind)
+        before = (one, other)
     return sorted(alerts, key=lambda one: (one.onset_s, one.first_id, one.second_id))
 
 
