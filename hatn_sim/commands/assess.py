@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from hatn_sim.commands.options import names, seconds, seconds_or_none, seeds, whole_number
+from hatn_sim.resources import SUITES
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
@@ -33,7 +34,6 @@ EXAMPLES = """examples:
   hatn-sim assess --suite do_warn --seeds 401-440 --json
   hatn-sim assess --scenes intersection5 --risk courteous,inattentive --calibrate
 """
-SUITES: Final = ("do_warn", "suppress_warn", "no_warn")
 HELD_OUT: Final = tuple(range(401, 441))
 FOR_CALIBRATION: Final = tuple(range(300, 340))
 DURATION_S: Final = 120.0
@@ -197,13 +197,13 @@ def _scenarios(arguments: argparse.Namespace) -> Iterator[Scenario]:
     """The scenes that are named, each with each of its risk profiles that are wanted."""
     from hatn_sim.config import load_scenario
     from hatn_sim.errors import InputError
-    from hatn_sim.resources import find_scenarios
+    from hatn_sim.resources import scenes_of_suite
 
     words: Sequence[str] = arguments.scenes
     if arguments.suite is not None:
         if words:
             raise InputError(f"either --suite {arguments.suite} or --scenes; drop one")
-        words = [name for name in find_scenarios() if name.startswith(arguments.suite)]
+        words = scenes_of_suite(arguments.suite)
     if not words:
         raise InputError("name scenes with --scenes A,B, or a --suite")
     for word in words:

@@ -26,6 +26,7 @@ from hatn_sim.perception import PerceptionState
 from hatn_sim.predictors.constant_velocity import extrapolate
 from hatn_sim.score.advised import AdviceRecorder
 from hatn_sim.score.assessed import AssessedRun, read_assessed, write_assessed
+from hatn_sim.score.close_passes import close_passes
 from hatn_sim.score.dangers import DangerRecorder
 from hatn_sim.score.driven import DrivenRecorder
 from hatn_sim.score.events import severe_events, vehicle_hours
@@ -158,7 +159,7 @@ class _Looking:
             seed=plan.seed,
             window_s=self._window_s,
             vehicle_hours=vehicle_hours(driven, *self._window_s),
-            events=tuple(severe_events(driven)),
+            events=(*severe_events(driven), *close_passes(driven)),
             traces={name: recorder.trace() for name, recorder in self._dangers.items()},
             advised=self._advice.advised(driven),
             made_with=plan.made_with,

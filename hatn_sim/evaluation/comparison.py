@@ -13,7 +13,7 @@ import numpy as np
 from hatn_sim.datatypes import Score
 from hatn_sim.evaluation.alert_rules import THRESHOLDS
 from hatn_sim.score.assessed import AssessedRun
-from hatn_sim.score.assistance import ORACLE, alert_scores, suggestion_scores, warned
+from hatn_sim.score.assistance import ORACLE, alert_scores, rare_s, suggestion_scores, warned
 from hatn_sim.score.sweep import Operating, best_within, operating, sweep, thresholds_of
 
 OURS: Final = "hatn"
@@ -47,6 +47,7 @@ def compare_rules(
     """
     curves = curves_of(runs) if curves is None else curves
     at = THRESHOLDS[OURS] if ours_threshold is None else ours_threshold
+    rare = rare_s(runs)
     scores: list[Score] = []
     for scene, of_scene in by_scene(runs).items():
         rules = list(of_scene[0].traces)
@@ -60,7 +61,8 @@ def compare_rules(
                     thresholds[rule] = np.inf if best is None else best.threshold
         for risk, chosen in by_risk(of_scene).items():
             for rule, threshold in thresholds.items():
-                scores += alert_scores(warned(chosen, rule, threshold), rule, scene, risk)
+                found = warned(chosen, rule, threshold, rare)
+                scores += alert_scores(found, rule, scene, risk)
             scores += suggestion_scores(chosen, OURS, scene, risk)
     return scores
 
