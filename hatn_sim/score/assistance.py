@@ -36,6 +36,7 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.config import DEFAULT_RISK
 from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, SafetyEvent, Score
 from hatn_sim.score import intervals
@@ -123,9 +124,13 @@ def warned(
     rule: str,
     threshold: float,
     rare: Mapping[str, float] = MappingProxyType({}),
+    settings: AssistSettings | None = None,
 ) -> Warned:
     """What the rule's alerts come to at a threshold; `rare` is as `rare_s` says."""
-    found = [_count(run, _alerts(run, rule, threshold), rare.get(run.scene, 0.0)) for run in runs]
+    found = [
+        _count(run, _alerts(run, rule, threshold, settings), rare.get(run.scene, 0.0))
+        for run in runs
+    ]
     leads = [leads for _, leads in found]
     return Warned(
         counts=np.array([counts for counts, _ in found]).reshape(-1, len(COLUMNS)),
@@ -134,10 +139,12 @@ def warned(
     )
 
 
-def _alerts(run: AssessedRun, rule: str, threshold: float) -> list[AlertInterval]:
+def _alerts(
+    run: AssessedRun, rule: str, threshold: float, settings: AssistSettings | None
+) -> list[AlertInterval]:
     if rule == ORACLE:
         return oracle_alerts(run.events, ORACLE_LEAD_S)
-    return alerts_at(run.traces[rule], threshold)
+    return alerts_at(run.traces[rule], threshold, settings)
 
 
 def _count(
