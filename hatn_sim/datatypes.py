@@ -214,6 +214,8 @@ class SemanticGraphs:
     rear_to_conflict_m: FloatArray  # [E, M] of the rear vehicle, along its line
     conflict_xy_m: FloatArray  # [E, M, 2] the conflict point on the ego's line
     conflict_type: IntArray  # [E, M] ConflictType
+    leader: IntArray  # [E] the vehicle ahead in the ego's corridor, -1: none
+    leader_gap_m: FloatArray  # [E] from bumper to bumper; 0 where there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,12 +243,13 @@ class Suggestion:
     time_s: float
     action: str  # "yield", "pass" or "abstain"
     slot_id: str | None  # the vehicle to pass before; on yield: the one to let go first
-    probability: float
-    margin: float  # to the second best slot
-    target_time_s: float  # from now until the ego is at the conflict
-    advised_speed_mps: float
+    probability: float  # that the ego takes this slot
+    margin: float  # to the most probable of the other slots
+    target_time_s: float  # from now until the ego, driving the profile, is at the conflict
+    advised_speed_mps: float  # mean of the profile until then
     feasible: bool  # within the comfort limits
     text: str
+    profile_mps: tuple[float, ...] = ()  # speed at the end of each tick; empty on abstention
 
 
 @dataclass(frozen=True)
@@ -261,6 +264,36 @@ class Alert:
     other_id: str
     severity: float
     reason: str
+
+
+@dataclass(frozen=True)
+class AlertInterval:
+    """An alert from onset to end, about an unordered pair of vehicles."""
+
+    first_id: str  # the two ids, sorted
+    second_id: str
+    type: str  # "CONFLICT" or "DEVIATION"
+    onset_s: float
+    end_s: float
+    peak_s: float
+    severity: float  # 0 ... 1, at the peak
+    danger: float  # at the peak, in the unit of the rule that raised it; higher is worse
+
+
+@dataclass(frozen=True)
+class SafetyEvent:
+    """Something unsafe that really happened, known only afterwards (METHOD section 7).
+
+    Tiers: "T1" collision, "T2" evasive braking, "T3" second entry soon after the first left; and
+    "brief", a braking that is hard in single frames only, which is counted apart.
+    """
+
+    tier: str
+    first_id: str  # ids sorted; of an unattributed event: who braked
+    second_id: str | None  # None: nobody was near enough to be the reason
+    start_s: float
+    cause: str  # "contact", "hard braking", "emergency braking" or "encroachment"
+    encroachment_s: float | None = None  # of T2 that would have been, of T3 that was
 
 
 @dataclass(frozen=True, eq=False)

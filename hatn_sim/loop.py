@@ -155,7 +155,7 @@ def advise(
     if nobody or prediction.graphs is None or prediction.slot_probability is None:
         return state, Advice(prediction, (), ())
     meeting = encounters(scene, prediction)
-    told, suggestions = suggest(state.suggestions, scene, prediction, meeting, adviser.egos)
+    told, suggestions = suggest(state.suggestions, scene, prediction, adviser.egos)
     warned, alerts = alert(state.alerts, scene, prediction, meeting, adviser.egos)
     return AdviserState(state.memory, told, warned), Advice(prediction, suggestions, alerts)
 

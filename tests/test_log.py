@@ -88,6 +88,8 @@ def make_prediction(rng: np.random.Generator, frame: Frame) -> Prediction:
         rear_to_conflict_m=rng.random((egos, NODES)),
         conflict_xy_m=rng.normal(size=(egos, NODES, 2)) * 1e5,
         conflict_type=rng.integers(0, 2, (egos, NODES)),
+        leader=np.full(egos, -1),
+        leader_gap_m=np.zeros(egos),
     )
     return Prediction(
         ids=ids,

@@ -1,0 +1,205 @@
+"""The speed a vehicle had better drive: as fast as the road, a leader and other vehicles' turns
+allow, with bounded acceleration, braking and jerk. Many vehicles and slots at once.
+
+Letters: R profiles, K areas on the way of each, G knots of time, P points of the road ahead,
+F ticks of the profile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.datatypes import DT_S, FloatArray
+
+PROFILE_FRAMES: Final = 50
+"""5 s: what a plan is driven for (METHOD section 7)."""
+KNOT_S: Final = 0.25
+KNOTS: Final = round(PROFILE_FRAMES * DT_S / KNOT_S)
+"""Between knots the jerk is constant; the knots are 0 ... `KNOTS`."""
+ROAD_STEP_M: Final = 2.5
+ROAD_REACH_M: Final = 50.0
+
+COMFORT_ACCELERATION_MPS2: Final = 2.0
+COMFORT_BRAKING_MPS2: Final = 3.0
+COMFORT_JERK_MPS3: Final = 3.5
+"""ISO 15622 allows cruise control 5 m/s^3 below 5 m/s and 2.5 above 20."""
+HARD_BRAKING_MPS2: Final = 8.0
+HARD_JERK_MPS3: Final = 40.0
+"""Where comfort cannot keep a vehicle out of another's way; the profile is not feasible then."""
+SLOWING_MPS2: Final = 1.5
+"""Braking for a bend, a limit or a stop line, which are known long before."""
+EASE_S: Final = 0.5
+"""Differences of speed are made up for in this time."""
+LEADER_GAP_M: Final = 2.0
+LEADER_TIME_S: Final = 0.9
+SHORT_M: Final = 0.5
+"""Who has to stop does so this far before the place."""
+SURE_S: Final = 1.0
+"""Until so long before an area opens, the vehicle can still stop before it within comfort."""
+FAR_S: Final = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """What R vehicles start from and have to keep to.
+
+    Distances are from where their front bumpers are now, times from now; the profile itself may
+    start later, where a driver needs time to react.
+    """
+
+    start_s: float
+    start_m: FloatArray  # [R] driven until then
+    speed_mps: FloatArray  # [R] then
+    acceleration_mps2: FloatArray  # [R]
+    allowed_mps: FloatArray  # [R, P] every `ROAD_STEP_M` from here to `ROAD_REACH_M`
+    leader_m: FloatArray  # [R, G] to the rear bumper of whoever is ahead at a knot; inf: nobody
+    leader_mps: FloatArray  # [R, G]
+    stop_m: FloatArray  # [R] to a line to stop at; inf: none
+    area_m: FloatArray  # [R, K] to areas that others have to leave first; inf: none
+    open_s: FloatArray  # [R, K] when these may be entered
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """How R vehicles drive, at knots every `KNOT_S` from the start on."""
+
+    start_s: float
+    speed_mps: FloatArray  # [R, G]
+    acceleration_mps2: FloatArray  # [R, G]
+    travelled_m: FloatArray  # [R, G] from where the vehicle is now
+
+    @property
+    def braking_mps2(self) -> FloatArray:
+        """[R] the hardest; how it brakes as it starts is not the profile's."""
+        return np.asarray(np.maximum(-self.acceleration_mps2[:, 1:].min(axis=1), 0.0))
+
+    def tick_speed_mps(self) -> FloatArray:
+        """[R, F] at the end of each tick: the jerk is constant between knots."""
+        low, part_s = _TICK_KNOT, _TICK_PART_S
+        acceleration = self.acceleration_mps2
+        ramp = (acceleration[:, low + 1] - acceleration[:, low]) / KNOT_S
+        speed = self.speed_mps[:, low] + part_s * (acceleration[:, low] + 0.5 * part_s * ramp)
+        return np.asarray(np.maximum(speed, 0.0))
+
+    def arrival_s(self, distance_m: FloatArray) -> FloatArray:
+        """When distances [R, K] from here have been driven, from now; at most `FAR_S`.
+
+        At the last speed beyond the last knot, and no sooner than the profile starts.
+        """
+        own = self.travelled_m[:, None]
+        after = np.clip((own < distance_m[..., None]).sum(axis=-1), 1, KNOTS)
+        row = np.arange(len(own))[:, None]
+        high, low = self.travelled_m[row, after], self.travelled_m[row, after - 1]
+        within = (distance_m - low) / np.maximum(high - low, 1e-6)
+        left_m = np.maximum(distance_m - self.travelled_m[:, -1:], 0.0)
+        last = self.speed_mps[:, -1:]
+        # Who stands at the end has no arrival; who rolls goes on at its speed.
+        later = KNOTS * KNOT_S + left_m / np.maximum(last, 1e-3)
+        time_s = np.where(left_m > 0.0, later, (after - 1 + np.maximum(within, 0.0)) * KNOT_S)
+        return np.minimum(self.start_s + time_s, FAR_S)
+
+
+_TICK_S: Final = DT_S * np.arange(1, PROFILE_FRAMES + 1)
+_TICK_KNOT: Final = np.minimum((_TICK_S / KNOT_S + 1e-9).astype(np.int64), KNOTS - 1)
+_TICK_PART_S: Final = _TICK_S - KNOT_S * _TICK_KNOT
+
+
+def drive(approach: Approach) -> Profiles:
+    """The fastest profile within comfort that keeps to all of an approach.
+
+    At every knot the acceleration is the largest that keeps the vehicle (1) below what the road
+    allows, (2) able to stop behind its leader (Gipps 1981, eq. 4, with equal braking), (3) able to
+    stop at a line, (4) out of every area until it opens: braking evenly, so as to arrive as it
+    opens, and until `SURE_S` before that able to stop. Comfort is left where these ask for more.
+    """
+    count = len(approach.speed_mps)
+    shape = (KNOTS + 1, count)
+    speeds, accelerations, travels = np.empty(shape), np.empty(shape), np.empty(shape)
+    speed, travelled = np.maximum(approach.speed_mps, 0.0), approach.start_m
+    acceleration = np.clip(
+        approach.acceleration_mps2, -HARD_BRAKING_MPS2, COMFORT_ACCELERATION_MPS2
+    )
+    speeds[0], accelerations[0], travels[0] = speed, acceleration, travelled
+    for knot in range(1, KNOTS + 1):
+        wanted = np.minimum(
+            np.minimum(_by_road(approach, speed, travelled), _by_line(approach, speed, travelled)),
+            _by_areas(approach, speed, travelled, approach.start_s + (knot - 1) * KNOT_S),
+        )
+        wanted = np.minimum(wanted, _by_leader(approach, speed, travelled, knot))
+        jerk = np.where(wanted < -COMFORT_BRAKING_MPS2, HARD_JERK_MPS3, COMFORT_JERK_MPS3)
+        before = acceleration
+        acceleration = np.clip(wanted, before - jerk * KNOT_S, before + COMFORT_JERK_MPS3 * KNOT_S)
+        acceleration = np.clip(acceleration, -HARD_BRAKING_MPS2, COMFORT_ACCELERATION_MPS2)
+        after = speed + 0.5 * KNOT_S * (before + acceleration)
+        # It stops rather than reverse, and starts again from an acceleration of nothing.
+        stopped = after < 0.0
+        if stopped.any():
+            acceleration = np.where(stopped, 0.0, acceleration)
+            after = np.maximum(after, 0.0)
+        travelled = travelled + np.maximum(
+            KNOT_S * speed + KNOT_S**2 * (2.0 * before + acceleration) / 6.0, 0.0
+        )
+        speed = after
+        speeds[knot], accelerations[knot], travels[knot] = speed, acceleration, travelled
+    return Profiles(approach.start_s, speeds.T, accelerations.T, travels.T)
+
+
+def _by_road(approach: Approach, speed: FloatArray, travelled: FloatArray) -> FloatArray:
+    # Where it will be when the difference has been made up for.
+    ahead = np.minimum(
+        (travelled + EASE_S * speed) / ROAD_STEP_M, approach.allowed_mps.shape[1] - 1.001
+    )
+    low = ahead.astype(np.int64)
+    row = np.arange(len(speed))
+    before, after = approach.allowed_mps[row, low], approach.allowed_mps[row, low + 1]
+    allowed = before + (ahead - low) * (after - before)
+    return np.maximum((allowed - speed) / EASE_S, -SLOWING_MPS2)
+
+
+def _by_leader(
+    approach: Approach, speed: FloatArray, travelled: FloatArray, knot: int
+) -> FloatArray:
+    gap = approach.leader_m[:, knot] - travelled - LEADER_GAP_M
+    braking, time_s = COMFORT_BRAKING_MPS2, LEADER_TIME_S
+    square = (braking * time_s) ** 2 + 2.0 * braking * gap + approach.leader_mps[:, knot] ** 2
+    safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - braking * time_s, 0.0)
+    return (safe - speed) / EASE_S
+
+
+def _by_line(approach: Approach, speed: FloatArray, travelled: FloatArray) -> FloatArray:
+    return _to_stop(approach.stop_m - travelled, speed, SLOWING_MPS2)
+
+
+def _by_areas(
+    approach: Approach, speed: FloatArray, travelled: FloatArray, now_s: float
+) -> FloatArray:
+    left_s = approach.open_s - now_s
+    room = approach.area_m - travelled[:, None]
+    own = speed[:, None]
+    late_s = np.maximum(left_s, EASE_S)
+    even = 2.0 * (room - own * late_s) / late_s**2
+    stopping = _to_stop(room, own, COMFORT_BRAKING_MPS2)
+    # Standing still before it opens is to stop, not to arrive.
+    wanted = np.where(own + even * late_s < 0.0, stopping, even)
+    wanted = np.where(left_s > SURE_S, np.minimum(wanted, stopping), wanted)
+    wanted = np.where(left_s > 0.0, wanted, np.inf)
+    return np.asarray(wanted.min(axis=1, initial=np.inf))
+
+
+def _to_stop(room_m: FloatArray, speed: FloatArray, braking_mps2: float) -> FloatArray:
+    """Acceleration to stop within `room_m`: free from afar, then braking as hard as given.
+
+    As in the intelligent driver model (Treiber et al. 2000), braking rises with a power of what is
+    needed, v^2 / 2d, and above what is given goes beyond it, so that the need falls again.
+    """
+    room = np.maximum(room_m - SHORT_M - 0.3 * speed, 0.05)
+    share = speed**2 / (2.0 * room * braking_mps2)
+    early = COMFORT_ACCELERATION_MPS2 - (COMFORT_ACCELERATION_MPS2 + braking_mps2) * share**4
+    # Comfort is left for the place itself, not for stopping short of it.
+    needed = speed**2 / (2.0 * np.maximum(room_m - 0.1, 0.05))
+    late = -np.minimum(braking_mps2 * share**2, np.maximum(COMFORT_BRAKING_MPS2, 1.2 * needed))
+    wanted = np.where(share <= 1.0, early, late)
+    return np.where(room_m <= SHORT_M, np.minimum(wanted, -speed / EASE_S), wanted)
