@@ -163,12 +163,12 @@ def busy(folder: Path, extra: str) -> Scenario:
 
 
 def written(folder: Path) -> dict[str, str]:
-    """The folder's files, without what names the time of the day and the folder."""
+    """The folder's files, without what names the folder or a clock's time."""
     texts: dict[str, str] = {}
     for path in sorted(folder.iterdir()):
         raw = path.read_bytes()
         text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode()
-        texts[path.name] = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+        texts[path.name] = re.sub(r"<!--.*?-->|\(\d+ms\)", "", text, flags=re.DOTALL)
     return {name: text.replace(str(folder), "") for name, text in texts.items()}
 
 

@@ -111,9 +111,7 @@ def _near(
     return one[keep], other[keep]
 
 
-def _contact(
-    a_frame: IntArray, a: Boxes, b_frame: IntArray, b: Boxes
-) -> tuple[float, int] | None:
+def _contact(a_frame: IntArray, a: Boxes, b_frame: IntArray, b: Boxes) -> tuple[float, int] | None:
     """PET (negative) of two vehicles that touched and the frame of contact; None: they did not."""
     together, at_a, at_b = np.intersect1d(a_frame, b_frame, return_indices=True)
     touching = overlap(a[at_a], b[at_b])
