@@ -65,8 +65,8 @@ class _Asked:
 class WhatIf:
     """Judges a sample of the alerts and suggestions of a run.
 
-    Alerts are asked about at their onset, suggestions when their action or slot changes, those that
-    abstain never. A warned ego obeys by the profile of the slot it is advised, or of yielding where
+    Alerts are asked about at their onset, suggestions when another slot is advised than before, never
+    those that abstain. A warned ego obeys by the profile of the slot it is advised, or of yielding where
     it is advised none.
     """
 
@@ -143,8 +143,11 @@ class WhatIf:
         return is_sampled(self._rate, self._seed, type(what).__name__, index, what.ego_id, other)
 
     def _changed(self, suggestions: Sequence[Suggestion]) -> list[Suggestion]:
-        """Those that say something else than the last time."""
-        now = {one.ego_id: (one.action, one.slot_id) for one in suggestions}
+        """Those that say something else than the last time; whom to let go first may change."""
+        now = {
+            one.ego_id: (one.action, one.slot_id if one.action == "pass" else None)
+            for one in suggestions
+        }
         changed = [
             one
             for one in suggestions
