@@ -344,6 +344,7 @@ class Plan:
     ego_id: str
     start_s: float  # from now; until then the simulator's own driver drives
     speed_mps: FloatArray  # [F] at the end of each tick from the start on
+    blend_s: float = 0.0  # over which the speed it has at the start changes to the planned ones
 
 
 @dataclass(frozen=True)

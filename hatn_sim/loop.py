@@ -145,9 +145,9 @@ def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
     where = f"predictor {name!r} at {scene.time_s:.1f} s"
     if prediction.ids != scene.ids:
         raise InputError(f"{where}: ids are not those of the scene, in its order; predict for all")
-    for name_of, (value, shape) in shapes.items():
+    for field, (value, shape) in shapes.items():
         if value.shape != shape:
-            raise InputError(f"{where}: {name_of} has shape {value.shape}, expected {shape}")
+            raise InputError(f"{where}: {field} has shape {value.shape}, expected {shape}")
     bad = ~np.isfinite(prediction.xy_m).all(axis=(1, 2, 3))
     bad |= ~np.isfinite(prediction.mode_probability).all(axis=1)
     if bad.any():
@@ -175,9 +175,11 @@ def advise(
     """What to make of a prediction: suggestions and alerts, where it has slots."""
     if not adviser.advises or prediction.graphs is None or prediction.slot_probability is None:
         return state, Advice(prediction, (), ())
+    perception, settings = state.perception, adviser.settings
     told, suggestions = suggest(state.suggestions, scene, prediction, adviser.egos)
-    dangers = hatn_rule(moment_of(adviser, state, prediction))
-    warned, alerts = alert(state.alerts, scene, dangers, adviser.settings, adviser.egos)
+    earlier = state.recent.earlier(scene.time_s)
+    moment = Moment(perception.road, perception.seen, prediction, earlier, settings)
+    warned, alerts = alert(state.alerts, scene, hatn_rule(moment), settings, adviser.egos)
     after = replace(
         state,
         suggestions=told,
@@ -185,13 +187,6 @@ def advise(
         recent=state.recent.with_newest(scene.time_s, prediction),
     )
     return after, Advice(prediction, suggestions, alerts)
-
-
-def moment_of(adviser: Adviser, state: AdviserState, prediction: Prediction) -> Moment:
-    """What alert rules look at; `state` is that of before `advise`."""
-    perception = state.perception
-    earlier = state.recent.earlier(perception.seen.scene.time_s)
-    return Moment(perception.road, perception.seen, prediction, earlier, adviser.settings)
 
 
 def warm_up(simulator: Simulator, frame: Frame, frames: int) -> Frame:

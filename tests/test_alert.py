@@ -159,7 +159,7 @@ def test_an_alert_begins_peaks_and_ends() -> None:
 
 
 def test_danger_that_comes_back_soon_is_the_same_alert() -> None:
-    back = [3.0, *[0.0] * 18, 3.0]
+    back = [3.0, *[0.0] * 19, 3.0]
     late = [3.0, *[0.0] * 20, 3.0]
     assert [one.edge for one in edges_of(back)] == ["onset", "peak", "end"]
     assert [one.edge for one in edges_of(late)] == ["onset", "peak", "end"] * 2
@@ -184,13 +184,13 @@ def test_live_alerts_are_those_found_afterwards_in_the_trace() -> None:
     recorder = DangerRecorder()
     for frame, danger in enumerate(dangers):
         if danger > 0.0:
-            one, other = np.array([0]), np.array([1])
-            recorder.add(0.1 * frame, SCENE.ids, one, other, np.array([danger]))
-    found = alerts_at(recorder.trace(), SETTINGS.alert_onset_mps2)
-    assert len(found) > 20
+            found = PairDangers(np.array([0]), np.array([1]), np.array([danger]))
+            recorder.add(0.1 * frame, SCENE.ids, found)
+    intervals = alerts_at(recorder.trace(), SETTINGS.alert_onset_mps2)
+    assert len(intervals) > 20
     onset, end = ([one.time_s for one in told if one.edge == edge] for edge in ("onset", "end"))
-    np.testing.assert_allclose(onset, [one.onset_s for one in found])
-    np.testing.assert_allclose(end, [one.end_s for one in found])
+    np.testing.assert_allclose(onset, [one.onset_s for one in intervals])
+    np.testing.assert_allclose(end, [one.end_s for one in intervals])
 
 
 def test_predictions_are_kept_for_a_second() -> None:

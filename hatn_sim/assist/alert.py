@@ -55,6 +55,11 @@ def alert(
     edges: list[Alert] = []
     still = dict(state.open)
     count = state.count
+    for key, held in list(still.items()):
+        if scene.time_s - held.last_s > settings.cool_down_s + ROUNDING_S:
+            edges.append(replace(held.alert, edge="peak"))
+            edges.append(replace(held.alert, edge="end", time_s=held.last_s))
+            del still[key]
     for a, b, value, kind in zip(
         first.tolist(), second.tolist(), danger.tolist(), type_.tolist(), strict=True
     ):
@@ -98,11 +103,6 @@ def alert(
             )
             peak = replace(before, alert=worse, danger=value)
         still[key] = replace(peak, last_s=scene.time_s)
-    for key, held in list(still.items()):
-        if scene.time_s - held.last_s >= settings.cool_down_s - ROUNDING_S:
-            edges.append(replace(held.alert, edge="peak"))
-            edges.append(replace(held.alert, edge="end", time_s=held.last_s))
-            del still[key]
     return AlertState(still, count), tuple(edges)
 
 

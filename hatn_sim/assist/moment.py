@@ -60,9 +60,7 @@ class PairDangers:
 AlertRule = Callable[[Moment], PairDangers]
 
 
-def pair_dangers(
-    index: IntArray, danger: FloatArray, type_: IntArray | None = None
-) -> PairDangers:
+def pair_dangers(index: IntArray, danger: FloatArray, type_: IntArray | None = None) -> PairDangers:
     """Those of the pairs [Q, 2] whose danger [Q] is above 0."""
     some = np.flatnonzero(danger > 0.0)
     of = index[some]

@@ -32,6 +32,7 @@ from hatn_sim.commands.options import (
     names,
     seconds,
     seconds_or_none,
+    share,
     with_driving,
     with_lines_from,
 )
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import Run, RunWriter
     from hatn_sim.loop import Driver
+    from hatn_sim.score.what_if import WhatIf
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
 EXAMPLES = """examples:
@@ -97,6 +99,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=names,
         metavar="A,B",
         help="vehicles that get suggestions and alerts (default: all)",
+    )
+    parser.add_argument(
+        "--counterfactuals",
+        type=share,
+        metavar="RATE",
+        help="share of alerts and suggestions to be judged by branches of the run, above 0 up to 1 "
+        "(default: none)",
     )
     add_traffic(parser)
     add_driving(parser)
@@ -232,13 +241,18 @@ def _simulate(
     duration_s: float | None = arguments.duration
     total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))
     began = time.monotonic()
+    what_if, main = _what_if(arguments, simulator), predictors[0].name
     with Progress(simulator.name, total, simulator.dt_s, arguments.quiet) as progress:
 
         def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
             writer.write(index, frame, advice)
+            if what_if is not None:
+                writer.write_counterfactuals(what_if.see(index, frame, advice[main]))
             progress.show(index + 1, len(frame.scene.ids))
 
         frames = run(simulator, advisers, frame, total or sys.maxsize, write, drivers)
+        if what_if is not None:
+            writer.write_counterfactuals(what_if.finish())
     seconds = time.monotonic() - began
     if total is not None and frames < total and not arguments.quiet:
         print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
@@ -246,6 +260,20 @@ def _simulate(
     if isinstance(simulator, SumoReplay):
         replay = simulator.fidelity, simulator.divergence
     return Simulated(frames, began, seconds, replay)
+
+
+def _what_if(arguments: argparse.Namespace, simulator: Simulator) -> WhatIf | None:
+    """What judges a sample of the advice; None where none is wanted, or nothing can be branched."""
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+    from hatn_sim.score.what_if import WhatIf
+
+    if arguments.counterfactuals is None:
+        return None
+    if simulator.cannot_branch is not None:
+        print(f"hatn-sim: run without counterfactuals: {simulator.cannot_branch}", file=sys.stderr)
+        return None
+    settings = CounterfactualSettings()
+    return WhatIf(simulator, arguments.counterfactuals, arguments.seed or 0, settings)
 
 
 def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: float) -> int:
@@ -283,12 +311,23 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
         f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
         f"{STEP_S * done.frames / taken_s:.1f} times real time"
     )
+    _tell_counterfactuals(logged)
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
     print(f"log, scores and picture in {out}" if pictures else f"log and scores in {out}")
     if pictures:
         print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
     return 0
+
+
+def _tell_counterfactuals(logged: Run) -> None:
+    """What branches said of the advice, and the weights of costs."""
+    if logged.counterfactuals is None:
+        return
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+    from hatn_sim.score.counterfactual_tally import tally, tally_words
+
+    print("\n".join(tally_words(tally(logged.counterfactuals), CounterfactualSettings())))
 
 
 def _write_replay(

@@ -111,11 +111,11 @@ def drive_branch(
         if isinstance(change, Lawful):
             _keep_rules(sumo, change.ego_id)
     plans = {change.ego_id: change for change in changes if isinstance(change, Plan)}
-    driving = set(commanded)
+    driving, excess_mps = set(commanded), dict[str, float]()
     read()
     for step in range(steps):
         if plans or driving:
-            driving = _follow(sumo, plans, driving, step)
+            driving = _follow(sumo, plans, driving, excess_mps, step)
         sumo.simulationStep()
         read()
 
@@ -133,8 +133,17 @@ def _keep_rules(sumo: Any, name: str) -> None:
             vehicle_type.setParameter(type_id, f"junctionModel.{key}", KEPT.get(key, "0"))
 
 
-def _follow(sumo: Any, plans: dict[str, Plan], driving: set[str], step: int) -> set[str]:
-    """Sets the speeds of the step to come. Returns who is driven, now that others are released."""
+def _follow(
+    sumo: Any,
+    plans: dict[str, Plan],
+    driving: set[str],
+    excess_mps: dict[str, float],
+    step: int,
+) -> set[str]:
+    """Sets the speeds of the step to come. Returns who is driven, now that others are released.
+
+    `excess_mps` keeps how much faster than planned each was at its start.
+    """
     vehicle = sumo.vehicle
     present = set(vehicle.getIDList())
     dt_s: float = sumo.simulation.getDeltaT()
@@ -142,7 +151,12 @@ def _follow(sumo: Any, plans: dict[str, Plan], driving: set[str], step: int) -> 
     for name, plan in plans.items():
         place = step - round(plan.start_s / dt_s)
         if name in present and 0 <= place < len(plan.speed_mps):
-            speeds_mps[name] = max(float(plan.speed_mps[place]), 0.0)
+            planned_mps = float(plan.speed_mps[place])
+            if plan.blend_s > 0.0:
+                if name not in excess_mps:
+                    excess_mps[name] = vehicle.getSpeed(name) - planned_mps
+                planned_mps += excess_mps[name] * max(1.0 - (place + 1) * dt_s / plan.blend_s, 0.0)
+            speeds_mps[name] = max(planned_mps, 0.0)
     for name in (driving - speeds_mps.keys()) & present:
         vehicle.setSpeed(name, -1.0)
         vehicle.setSpeedMode(name, OWN_SPEED_MODE)
