@@ -145,9 +145,9 @@ def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
     where = f"predictor {name!r} at {scene.time_s:.1f} s"
     if prediction.ids != scene.ids:
         raise InputError(f"{where}: ids are not those of the scene, in its order; predict for all")
-    for field, (value, shape) in shapes.items():
+    for part, (value, shape) in shapes.items():
         if value.shape != shape:
-            raise InputError(f"{where}: {field} has shape {value.shape}, expected {shape}")
+            raise InputError(f"{where}: {part} has shape {value.shape}, expected {shape}")
     bad = ~np.isfinite(prediction.xy_m).all(axis=(1, 2, 3))
     bad |= ~np.isfinite(prediction.mode_probability).all(axis=1)
     if bad.any():

@@ -111,7 +111,7 @@ def test_kept_motion_ends_at_a_standstill_and_at_the_fastest() -> None:
 @pytest.mark.parametrize("name", RULES)
 def test_every_rule_knows_danger_from_none(name: str) -> None:
     bad = RULES[name](moment((20.0, 9.0, 0.0), (20.0, 9.0, 0.0)))
-    good = RULES[name](moment((55.0, 4.0, 0.0), (25.0, 9.0, 0.0)))
+    good = RULES[name](moment((30.0, 4.0, 0.0), (25.0, 9.0, 0.0)))
     assert len(bad.danger) == (name != "never")
     assert len(good.danger) == (name == "always")
 

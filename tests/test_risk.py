@@ -163,7 +163,7 @@ def test_predicted_times_at_constant_speed_are_those_at_speed() -> None:
 
 
 def test_arrival_is_linear_between_frames_and_beyond_them() -> None:
-    travelled = np.array([np.arange(1, 31) * 1.0, np.zeros(30)])
+    travelled: FloatArray = np.array([np.arange(1, 31) * 1.0, np.zeros(30)], dtype=np.float64)
     vehicle = np.array([0, 0, 0, 1, 1])
     found = arrival_s(travelled, vehicle, np.array([2.5, 30.0, 45.0, -1.0, 5.0]))
     np.testing.assert_allclose(found, [0.25, 3.0, 4.5, 0.0, 60.0])

@@ -1,4 +1,4 @@
-"""Alert rules to compare ours with (METHOD section 7). The oracle, who knows the future, is none."""
+"""Alert rules to compare ours with (METHOD section 7). The oracle knows the future: it is none."""
 
 from __future__ import annotations
 

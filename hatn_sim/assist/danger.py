@@ -28,7 +28,7 @@ from hatn_sim.assist.risk import (
     travelled_m,
 )
 from hatn_sim.assist.settings import AssistSettings
-from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, BoolArray, FloatArray, Prediction
+from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, BoolArray, FloatArray, IntArray, Prediction
 
 MOST_MPS2: Final = 9.0
 """More than a vehicle can brake at: worse is not told apart."""
@@ -44,11 +44,14 @@ def hatn_rule(moment: Moment) -> PairDangers:
     predicted = times_predicted(pairs, travelled_m(moment.scene, moment.prediction))
     outlook = outlook_of(pairs, now, _acceleration_mps2(moment), predicted, settings.reaction_s)
     danger = conflict_mps2(pairs, outlook, settings)
-    if moment.earlier is None:
+    some = np.flatnonzero(danger > 0.0)
+    if moment.earlier is None or not len(some):
         return pair_dangers(pairs.index, danger)
-    by = deviates(moment, moment.earlier, outlook)
-    index = np.where(by[:, 1:] & ~by[:, :1], pairs.index[:, ::-1], pairs.index)
-    return pair_dangers(index, danger, np.where(by.any(axis=1), DEVIATION, CONFLICT))
+    index, enter_s = pairs.index[some], outlook.going_on.enter_s[some]
+    sure = yield_probability(moment.scene.ids, index, moment.earlier) > settings.confident
+    deviates = sure & (enter_s < enter_s[:, ::-1])  # [P, 2] goes first all the same
+    index = np.where(deviates[:, 1:] & ~deviates[:, :1], index[:, ::-1], index)
+    return pair_dangers(index, danger[some], np.where(deviates.any(axis=1), DEVIATION, CONFLICT))
 
 
 def constant_velocity_rule(moment: Moment) -> PairDangers:
@@ -118,19 +121,12 @@ def conflict_mps2(pairs: Pairs, outlook: Outlook, settings: AssistSettings) -> F
     return np.where(at_once, outlook.needed_mps2.min(axis=1), 0.0)
 
 
-def deviates(moment: Moment, earlier: Prediction, outlook: Outlook) -> BoolArray:
-    """Who of each pair [Q, 2] goes first though it was confidently predicted to let others go."""
-    enter_s = outlook.going_on.enter_s
-    sure = yield_probability(moment.scene.ids, moment.pairs, earlier) > moment.settings.confident
-    return sure & (enter_s < enter_s[:, ::-1])
-
-
-def yield_probability(ids: tuple[str, ...], pairs: Pairs, prediction: Prediction) -> FloatArray:
-    """How surely each of a pair [Q, 2] was predicted to let somebody go, where the other is of its
-    focus group; elsewhere 0. `ids` are those of the pairs, the prediction may be of another frame.
+def yield_probability(ids: tuple[str, ...], index: IntArray, prediction: Prediction) -> FloatArray:
+    """How surely each of pairs [P, 2] was predicted to let somebody go, where the other is of its
+    focus group; elsewhere 0. `ids` are those of `index`, the prediction may be of another frame.
     """
     graphs, chances = prediction.graphs, prediction.slot_probability
-    out = np.zeros(pairs.index.shape)
+    out = np.zeros(index.shape)
     if graphs is None or chances is None or not len(graphs.ego):
         return out
     place = {name: number for number, name in enumerate(prediction.ids)}
@@ -138,7 +134,7 @@ def yield_probability(ids: tuple[str, ...], pairs: Pairs, prediction: Prediction
     row_of = np.full(len(prediction.ids) + 1, -1, dtype=np.int64)  # the last: found by -1
     row_of[graphs.ego] = np.arange(len(graphs.ego))
     for k in (0, 1):
-        row, other = row_of[then[pairs.index[:, k]]], then[pairs.index[:, 1 - k]]
+        row, other = row_of[then[index[:, k]]], then[index[:, 1 - k]]
         met = (graphs.rear[row] == other[:, None]) & graphs.focus_mask[row]
         known = (row >= 0) & (other >= 0) & met[:, 1:].any(axis=1)
         out[:, k] = np.where(known, chances[row, 0], 0.0)

@@ -20,7 +20,10 @@ from hatn_sim.geometry import wrap_angle
 from hatn_sim.road import Road
 
 REACH_M: Final = 60.0
-"""Areas farther ahead than this are not looked at."""
+"""Areas farther ahead than this are not looked at ..."""
+NEAR_M: Final = 20.0
+AHEAD_S: Final = 5.0
+"""... nor those farther than `NEAR_M` which a vehicle does not come so near to in this time."""
 LEAST_ANGLE_RAD: Final = np.deg2rad(20.0)
 """Lines that cross at less are taken to cross at this: the area would have no end."""
 FOLLOW: Final = 2
@@ -85,13 +88,17 @@ def area_m(
 def _at_conflicts(road: Road, scene: Scene, lines: Lines) -> Pairs:
     on = np.flatnonzero(lines.line >= 0)
     near = np.zeros((0, 2), dtype=np.int64)
+    reach = np.minimum(NEAR_M + AHEAD_S * scene.speed_mps, REACH_M)
     if len(on) > 1:
-        near = on[KDTree(scene.xy_m[on]).query_pairs(2.0 * REACH_M, output_type="ndarray")]
+        far_m = 2.0 * float(reach[on].max())
+        near = on[KDTree(scene.xy_m[on]).query_pairs(far_m, output_type="ndarray")]
+        away = scene.xy_m[near[:, 0]] - scene.xy_m[near[:, 1]]
+        near = near[(away * away).sum(axis=1) <= reach[near].sum(axis=1) ** 2]
     met = road.conflict_table.of_pairs(lines.line[near[:, 0]], lines.line[near[:, 1]])
     index, kind = near[met.pair], met.type
     point_s = met.point_s_m
     to_point = point_s - lines.s_m[index]
-    within = (to_point.max(axis=1) <= REACH_M) & (to_point.min(axis=1) > -REACH_M)
+    within = ((to_point <= reach[index]) & (to_point > -REACH_M)).all(axis=1)
     index, kind, point_s, to_point = index[within], kind[within], point_s[within], to_point[within]
     half, angle = area_m(road, scene, index, lines.line[index], point_s, kind)
     clear = to_point + half

@@ -10,7 +10,7 @@
 | `reaction_s` | s | everybody goes on as now for so long before anybody brakes |
 | `encroachment_s` | s | two who miss each other by less than this are there nearly at once |
 | `soon_s` | s | who comes later than this has time to think |
-| `confident` | probability | a vehicle predicted so surely to let others go deviates if it does not |
+| `confident` | probability | predicted so surely to let others go, who goes first deviates |
 """
 
 from __future__ import annotations

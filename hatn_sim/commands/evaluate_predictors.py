@@ -224,6 +224,7 @@ def _as_run(
     choice_from: str,
 ) -> Namespace:
     """The arguments of the `hatn-sim run` that makes the same scores."""
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.commands.options import SIMULATORS_OWN
 
     source = scenario.recorded
@@ -241,6 +242,8 @@ def _as_run(
         adapt=arguments.adapt,
         lines=arguments.lines,
         egos=None,
+        assist_settings=None,
+        assist=AssistSettings(),
         net=None,
         react_from=None,
         drive=None,

@@ -40,6 +40,7 @@ from hatn_sim.commands.options import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
     from hatn_sim.learn.others_choice import OthersChoice
@@ -101,6 +102,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="vehicles that get suggestions and alerts (default: all)",
     )
     parser.add_argument(
+        "--assist-settings",
+        type=Path,
+        metavar="FILE.toml",
+        help="thresholds of alerts (default: those that ship)",
+    )
+    parser.add_argument(
         "--counterfactuals",
         type=share,
         metavar="RATE",
@@ -122,6 +129,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
+    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
     from hatn_sim.commands.chosen_predictors import load_predictors
     from hatn_sim.commands.line_choices import choice_header
     from hatn_sim.commands.run_header import make_header
@@ -135,6 +143,8 @@ def main(arguments: argparse.Namespace) -> int:
     started = time.monotonic()
     scenario = with_lines_from(with_driving(chosen_scenario(arguments), arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
+    given: Path | None = arguments.assist_settings
+    arguments.assist = AssistSettings() if given is None else read_assist_settings(given)
     if arguments.warm_up is None:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
     if arguments.duration is None and scenario.recorded is None:
@@ -236,7 +246,8 @@ def _simulate(
     from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
     egos = None if arguments.egos is None else frozenset(arguments.egos)
-    advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]
+    settings: AssistSettings = arguments.assist
+    advisers = [Adviser(predictor, arguments.lines, egos, settings) for predictor in predictors]
     frame = warm_up(simulator, frame, round(arguments.warm_up / simulator.dt_s))
     duration_s: float | None = arguments.duration
     total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))

@@ -44,6 +44,7 @@ def make_header(
             "compare": [predictor.name for predictor in predictors[1:]],
             "lines": arguments.lines,
             "egos": None if arguments.egos is None else list(arguments.egos),
+            "assist": asdict(arguments.assist),
             "counterfactuals": _counterfactual_settings(arguments),
             "density": scenario.density,
             "risk": scenario.risk,
@@ -117,6 +118,8 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
         words += ["--compare", ",".join(arguments.compare)]
     if arguments.egos is not None:
         words += ["--egos", ",".join(arguments.egos)]
+    if arguments.assist_settings is not None:
+        words += ["--assist-settings", str(arguments.assist_settings)]
     if arguments.counterfactuals is not None:
         words += ["--counterfactuals", f"{arguments.counterfactuals:g}"]
     if arguments.net is not None:
