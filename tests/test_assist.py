@@ -8,7 +8,6 @@ from conftest import crossing_lanes, scene_of
 
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.risk import arrival_s, encounters, required_deceleration_mps2
-from hatn_sim.assist.suggest import SuggestionState, Told, suggest
 from hatn_sim.datatypes import Prediction, Scene
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import begin, perceive
@@ -79,73 +78,6 @@ def test_required_deceleration_by_hand(
 ) -> None:
     found = required_deceleration_mps2(np.array(distance), np.array(speed), np.array(time))
     np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_a_yield_names_whom_to_let_go_and_when() -> None:
-    scene, prediction = moment(TWO, {"ego": [0.9, 0.1], "other": [0.1, 0.9]})
-    state, found = suggest(
-        SuggestionState(), scene, prediction, encounters(scene, prediction), None
-    )
-    by_ego = {one.ego_id: one for one in found}
-    told = by_ego["ego"]
-    assert (told.action, told.slot_id, told.feasible) == ("yield", "other", True)
-    assert told.probability == pytest.approx(0.9)
-    assert told.margin == pytest.approx(0.8)
-    assert told.target_time_s == pytest.approx(23.5 / 8, abs=0.02)
-    assert told.text == "Yield to the silver car from the right; go after it in 2.9 s"
-    assert by_ego["other"].action == "pass"
-    assert by_ego["other"].slot_id == "ego"
-    # 23.5 m at 8 m/s take 2.9 s, the ego comes after 3.65 s: no need to speed up.
-    assert by_ego["other"].feasible
-    assert by_ego["other"].target_time_s == pytest.approx(16.5 / 8, abs=0.02)
-    assert by_ego["other"].advised_speed_mps == pytest.approx(8.0, abs=0.05)
-    assert {ego: told.slot_id for ego, told in state.told.items()} == {"ego": "ego", "other": "ego"}
-
-
-def test_a_gap_too_short_to_clear_is_not_feasible() -> None:
-    near = {"ego": (-40.0, 0.0, 0.0, 10.0), "other": (0.0, -14.0, NORTH, 8.0)}
-    scene, prediction = moment(near, {"ego": [0.1, 0.9]})
-    meeting = encounters(scene, prediction)
-    _, found = suggest(SuggestionState(), scene, prediction, meeting, frozenset({"ego"}))
-    # 43.5 m to be out, 10.5 / 8 s until the other comes: 35 m/s2 would be needed.
-    assert (found[0].action, found[0].feasible) == ("pass", False)
-    assert found[0].text.endswith("if you can: the gap is tight")
-
-
-def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
-    scene, prediction = moment(TWO, {"ego": [0.55, 0.45], "other": [0.2, 0.8]})
-    meeting = encounters(scene, prediction)
-    _, found = suggest(SuggestionState(), scene, prediction, meeting, frozenset({"ego"}))
-    assert [(one.ego_id, one.action) for one in found] == [("ego", "abstain")]
-    _, nobody = suggest(SuggestionState(), scene, prediction, meeting, frozenset())
-    assert nobody == ()
-
-
-@pytest.mark.parametrize(
-    ("chance", "expected"),
-    [
-        ([0.55, 0.45], ("pass", "other")),  # another leads by 0.1: the advice stands
-        ([0.7, 0.3], ("yield", "other")),  # it leads by 0.4: the advice changes
-        ([0.6, 0.4], ("abstain", "other")),  # by 0.2: enough to give up the old, not for the new
-    ],
-)
-def test_advice_stands_until_another_slot_is_clearly_better(
-    chance: list[float], expected: tuple[str, str]
-) -> None:
-    told = SuggestionState({"ego": Told("other", "pass", True)})
-    scene, prediction = moment(TWO, {"ego": chance})
-    meeting = encounters(scene, prediction)
-    _, (found,) = suggest(told, scene, prediction, meeting, frozenset({"ego"}))
-    assert (found.action, found.slot_id) == expected
-
-
-@pytest.mark.parametrize(("margin", "expected"), [(0.2, "abstain"), (0.3, "yield")])
-def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> None:
-    for before in (SuggestionState(), SuggestionState({"ego": Told("ego", "abstain", True)})):
-        scene, prediction = moment(TWO, {"ego": [0.5 + margin / 2, 0.5 - margin / 2]})
-        meeting = encounters(scene, prediction)
-        _, (found,) = suggest(before, scene, prediction, meeting, frozenset({"ego"}))
-        assert found.action == expected
 
 
 def test_an_alert_is_an_interval_of_a_pair() -> None:

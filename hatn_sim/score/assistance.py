@@ -127,9 +127,18 @@ def warned(
     settings: AssistSettings | None = None,
 ) -> Warned:
     """What the rule's alerts come to at a threshold; `rare` is as `rare_s` says."""
+    alerts = [_alerts(run, rule, threshold, settings) for run in runs]
+    return warned_by(runs, alerts, rare)
+
+
+def warned_by(
+    runs: Sequence[AssessedRun],
+    alerts: Sequence[Sequence[AlertInterval]],
+    rare: Mapping[str, float] = MappingProxyType({}),
+) -> Warned:
+    """What the alerts of each run come to."""
     found = [
-        _count(run, _alerts(run, rule, threshold, settings), rare.get(run.scene, 0.0))
-        for run in runs
+        _count(run, own, rare.get(run.scene, 0.0)) for run, own in zip(runs, alerts, strict=True)
     ]
     leads = [leads for _, leads in found]
     return Warned(
