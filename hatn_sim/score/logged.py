@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, Score
+from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, Score, Suggestion
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES, slot_label
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.score.advised import ABSTAIN, Advised
@@ -150,22 +150,24 @@ def _advised_slots(
 def _flicker(run: Run) -> tuple[int, int]:
     """(encounters, switches)"""
     encounters = switches = 0
-    spoken: dict[str, tuple[str, str | None] | None] = {}
-    gone_s: dict[str, float] = {}
+    told: dict[str, Suggestion] = {}  # what holds now, by ego
+    spoken: dict[tuple[str, str | None], tuple[str, float]] = {}  # action, last time it held
     for change in run.suggestions:
-        time_s, one = float(run.times_s[change.frame]), change.suggestion
+        time_s = float(run.times_s[change.frame])
+        before = told.pop(change.ego_id, None)
+        if before is not None and before.action != ABSTAIN:
+            spoken[change.ego_id, before.slot_id] = (before.action, time_s)
+        one = change.suggestion
         if one is None:
-            gone_s[change.ego_id] = time_s
             continue
-        left_s = gone_s.pop(change.ego_id, None)
-        if change.ego_id not in spoken or (left_s is not None and time_s - left_s > PAUSE_S):
-            encounters += 1
-            spoken[change.ego_id] = None
+        told[change.ego_id] = one
         if one.action == ABSTAIN:
             continue
-        now = (one.action, one.slot_id if one.action == "pass" else None)
-        switches += spoken[change.ego_id] not in (None, now)
-        spoken[change.ego_id] = now
+        action, last_s = spoken.get((change.ego_id, one.slot_id), ("", -np.inf))
+        again = time_s - last_s <= PAUSE_S
+        encounters += not again
+        switches += again and action != one.action
+        spoken[change.ego_id, one.slot_id] = (one.action, time_s)
     return encounters, switches
 
 
