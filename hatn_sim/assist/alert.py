@@ -2,8 +2,8 @@
 
 An alert begins where the danger of a pair reaches the onset threshold. It goes on while the danger
 is at least the end threshold, not counting gaps of up to `end_after_s`; and if it reaches the onset
-threshold again within `cool_down_s` of its end, that is the same alert. A pair may have an alert of
-each type.
+threshold again within `cool_down_s` of its end, that is the same alert. A pair has one alert at a
+time; its type is that of its onset.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import Alert, FloatArray, IntArray, Scene
 
 ROUNDING_S: Final = 1e-6
-_Key = tuple[str, str, int]
-"""The ids of a pair, sorted, and the type."""
+_Pair = tuple[str, str]
+"""The ids of two vehicles, sorted."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,14 @@ class _Open:
     alert: Alert  # the peak so far
     danger: float  # at the peak
     last_s: float  # when the danger was last enough for the alert to go on
+    deviates_id: str  # of a DEVIATION: who
 
 
 @dataclass(frozen=True)
 class AlertState:
     """The alerts that are open now, and how many there were."""
 
-    open: Mapping[_Key, _Open] = field(default_factory=dict[_Key, _Open])
+    open: Mapping[_Pair, _Open] = field(default_factory=dict[_Pair, _Open])
     count: int = 0
 
 
@@ -54,6 +55,11 @@ def alert(
     edges: list[Alert] = []
     still = dict(state.open)
     count = state.count
+    for key, held in list(still.items()):
+        if scene.time_s - held.last_s > settings.cool_down_s + ROUNDING_S:
+            edges.append(replace(held.alert, edge="peak"))
+            edges.append(replace(held.alert, edge="end", time_s=held.last_s))
+            del still[key]
     for a, b, value, kind in zip(
         first.tolist(), second.tolist(), danger.tolist(), type_.tolist(), strict=True
     ):
@@ -62,7 +68,7 @@ def alert(
             ego_id, other_id = other_id, ego_id
             if ego_id not in egos:
                 continue
-        key = (min(ego_id, other_id), max(ego_id, other_id), kind)
+        key = (min(ego_id, other_id), max(ego_id, other_id))
         before = still.get(key)
         starts = value >= settings.alert_onset_mps2
         goes_on = (
@@ -81,10 +87,10 @@ def alert(
                 ego_id=ego_id,
                 other_id=other_id,
                 severity=severity,
-                reason=_reason(kind, value, scene.ids[a]),
+                reason=_reason(TYPES[kind], value, scene.ids[a]),
             )
             edges.append(onset)
-            still[key] = _Open(onset, value, scene.time_s)
+            still[key] = _Open(onset, value, scene.time_s, scene.ids[a])
             continue
         peak = before
         if value > before.danger:
@@ -93,33 +99,27 @@ def alert(
                 edge="peak",
                 severity=severity,
                 time_s=scene.time_s,
-                reason=_reason(kind, value, scene.ids[a]),
+                reason=_reason(before.alert.type, value, before.deviates_id),
             )
-            peak = _Open(worse, value, scene.time_s)
+            peak = replace(before, alert=worse, danger=value)
         still[key] = replace(peak, last_s=scene.time_s)
-    for key, held in list(still.items()):
-        if scene.time_s - held.last_s >= settings.cool_down_s - ROUNDING_S:
-            edges.append(replace(held.alert, edge="peak"))
-            edges.append(replace(held.alert, edge="end", time_s=held.last_s))
-            del still[key]
     return AlertState(still, count), tuple(edges)
 
 
 def _worst(dangers: PairDangers, least: float) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-    """Pairs with a danger of `least` or more, each once a type, with its greatest danger."""
+    """Pairs with a danger of `least` or more, each once, with its greatest danger."""
     some = np.flatnonzero(dangers.danger >= least)
     first, second, danger = dangers.first[some], dangers.second[some], dangers.danger[some]
     kind = np.full(len(some), CONFLICT) if dangers.type is None else dangers.type[some]
     low, high = np.minimum(first, second), np.maximum(first, second)
-    order = np.lexsort((-danger, kind, high, low))
-    key = np.stack((low, high, kind), axis=1)[order]
+    order = np.lexsort((-danger, high, low))
+    key = np.stack((low, high), axis=1)[order]
     new = np.ones(len(order), dtype=np.bool_)
     new[1:] = (np.diff(key, axis=0) != 0).any(axis=1)
     best = order[new]
     return first[best], second[best], danger[best], kind[best]
 
 
-def _reason(kind: int, danger: float, first_id: str) -> str:
-    if kind == CONFLICT:
-        return f"both need to brake at {danger:.1f} m/s2 or more not to meet"
-    return f"{first_id} was to give way, and needs {danger:.1f} m/s2 of braking to do so"
+def _reason(type_: str, danger_mps2: float, deviates_id: str) -> str:
+    why = f"both need to brake at {danger_mps2:.1f} m/s2 or more not to meet"
+    return why if type_ == TYPES[CONFLICT] else f"{deviates_id} was to give way; {why}"

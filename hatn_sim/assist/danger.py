@@ -6,8 +6,9 @@ the braking that the better placed of the two would need if it began only after 
 which everybody goes on as now. So it grows early where the two speed up towards each other, and
 stays small where one already brakes, however near they are.
 
-DEVIATION: a vehicle that was confidently predicted to let another go, goes first. The danger is the
-braking that it would need, after the same time, to do as was predicted.
+It is a DEVIATION where one of the two does what the model was confident it would not: it goes
+first, though a second ago it was all but sure to let somebody go. Deviations that endanger nobody
+are not alerted of.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.moment import DEVIATION, Moment, PairDangers, joined, pair_dangers
+from hatn_sim.assist.moment import CONFLICT, DEVIATION, Moment, PairDangers, pair_dangers
 from hatn_sim.assist.pairs import FOLLOW, Pairs
 from hatn_sim.assist.risk import (
     Times,
@@ -37,17 +38,17 @@ FASTEST_MPS: Final = 14.0
 
 
 def hatn_rule(moment: Moment) -> PairDangers:
-    """Ours: CONFLICT on HATN's prediction, and DEVIATION from it. In m/s2."""
+    """Ours: CONFLICT and DEVIATION, by HATN's prediction. In m/s2."""
     pairs, settings = moment.pairs, moment.settings
     now = moment.scene.speed_mps
     predicted = times_predicted(pairs, travelled_m(moment.scene, moment.prediction))
     outlook = outlook_of(pairs, now, _acceleration_mps2(moment), predicted, settings.reaction_s)
-    found = [pair_dangers(pairs.index, conflict_mps2(pairs, outlook, settings))]
-    if moment.earlier is not None:
-        deviation = deviation_mps2(moment, moment.earlier, outlook)
-        for k in (0, 1):
-            found.append(pair_dangers(pairs.index[:, [k, 1 - k]], deviation[:, k], DEVIATION))
-    return joined(*found)
+    danger = conflict_mps2(pairs, outlook, settings)
+    if moment.earlier is None:
+        return pair_dangers(pairs.index, danger)
+    by = deviates(moment, moment.earlier, outlook)
+    index = np.where(by[:, 1:] & ~by[:, :1], pairs.index[:, ::-1], pairs.index)
+    return pair_dangers(index, danger, np.where(by.any(axis=1), DEVIATION, CONFLICT))
 
 
 def constant_velocity_rule(moment: Moment) -> PairDangers:
@@ -117,14 +118,11 @@ def conflict_mps2(pairs: Pairs, outlook: Outlook, settings: AssistSettings) -> F
     return np.where(at_once, outlook.needed_mps2.min(axis=1), 0.0)
 
 
-def deviation_mps2(moment: Moment, earlier: Prediction, outlook: Outlook) -> FloatArray:
-    """Danger [Q, 2] of DEVIATION of the first and of the second of each pair, 0 where none."""
-    pairs, settings, times = moment.pairs, moment.settings, outlook.going_on
-    soon = (times.encroachment_s() < settings.encroachment_s) & (times.second_s() < settings.soon_s)
-    goes_first = times.enter_s < times.enter_s[:, ::-1]
-    sure = yield_probability(moment.scene.ids, pairs, earlier) > settings.confident
-    deviates = soon[:, None] & goes_first & sure & (pairs.type != FOLLOW)[:, None]
-    return np.where(deviates, outlook.needed_mps2, 0.0)
+def deviates(moment: Moment, earlier: Prediction, outlook: Outlook) -> BoolArray:
+    """Who of each pair [Q, 2] goes first though it was confidently predicted to let others go."""
+    enter_s = outlook.going_on.enter_s
+    sure = yield_probability(moment.scene.ids, moment.pairs, earlier) > moment.settings.confident
+    return sure & (enter_s < enter_s[:, ::-1])
 
 
 def yield_probability(ids: tuple[str, ...], pairs: Pairs, prediction: Prediction) -> FloatArray:

@@ -60,22 +60,11 @@ class PairDangers:
 AlertRule = Callable[[Moment], PairDangers]
 
 
-def pair_dangers(index: IntArray, danger: FloatArray, type_: int = CONFLICT) -> PairDangers:
+def pair_dangers(index: IntArray, danger: FloatArray, type_: IntArray | None = None) -> PairDangers:
     """Those of the pairs [Q, 2] whose danger [Q] is above 0."""
     some = np.flatnonzero(danger > 0.0)
     of = index[some]
-    return PairDangers(of[:, 0], of[:, 1], danger[some], np.full(len(some), type_))
-
-
-def joined(*found: PairDangers) -> PairDangers:
-    """All of them."""
-    types = [np.zeros(len(one.first), np.int64) if one.type is None else one.type for one in found]
-    return PairDangers(
-        np.concatenate([one.first for one in found]),
-        np.concatenate([one.second for one in found]),
-        np.concatenate([one.danger for one in found]),
-        np.concatenate(types),
-    )
+    return PairDangers(of[:, 0], of[:, 1], danger[some], None if type_ is None else type_[some])
 
 
 @dataclass(frozen=True, eq=False)

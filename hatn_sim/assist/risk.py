@@ -22,9 +22,8 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.pairs import FOLLOW, Pairs, area_m
+from hatn_sim.assist.pairs import FOLLOW, Pairs
 from hatn_sim.datatypes import DT_S, ConflictType, FloatArray, Prediction, Scene
-from hatn_sim.road import Road
 
 FAR_S: Final = 60.0
 """Predicted arrivals later than this count as this: the vehicle stands."""
@@ -48,9 +47,11 @@ class Times:
 
         Negative where both are there at once.
         """
-        return _encroachment_s(
-            self.enter_s[:, 0], self.leave_s[:, 0], self.enter_s[:, 1], self.leave_s[:, 1]
-        )
+        first = self.enter_s[:, 0] <= self.enter_s[:, 1]
+        second = self.second_s()
+        never = np.isinf(second)
+        leaves = np.where(first, self.leave_s[:, 0], self.leave_s[:, 1])
+        return np.where(never, np.inf, np.where(never, 0.0, second) - leaves)
 
     def second_s(self) -> FloatArray:
         """[Q] when the second comes in."""
@@ -77,15 +78,6 @@ def _over(way_m: FloatArray, speed_mps: FloatArray) -> FloatArray:
     moving = speed_mps > 0.0
     time = np.where(moving, way_m / np.where(moving, speed_mps, 1.0), np.inf)
     return np.where(way_m <= 0.0, 0.0, time)
-
-
-def _encroachment_s(
-    enter: FloatArray, leave: FloatArray, other_enter: FloatArray, other_leave: FloatArray
-) -> FloatArray:
-    first = enter <= other_enter
-    begins, ends = np.where(first, other_enter, enter), np.where(first, leave, other_leave)
-    never = np.isinf(begins)
-    return np.where(never, np.inf, np.where(never, 0.0, begins) - ends)
 
 
 def travelled_m(scene: Scene, prediction: Prediction) -> FloatArray:
@@ -176,7 +168,7 @@ def required_deceleration_mps2(
     2 (v t - d) / t^2 while it still rolls then, v^2 / 2d where it has to stop before; 0 where it
     would come later anyhow (after Archer 2005, eq. 4.6; the limit is the arrival of the other).
     """
-    time = np.maximum(time_s, 1e-3)
+    time = np.clip(time_s, 1e-3, 1e6)  # whoever never leaves, leaves late
     rolling = 2.0 * (speed_mps * time - distance_m) / time**2
     stopping = speed_mps**2 / (2.0 * np.maximum(distance_m, 0.1))
     needed = np.where(rolling * time > speed_mps, stopping, rolling)
@@ -197,60 +189,3 @@ def _in_line(pairs: Pairs, speed_mps: FloatArray) -> tuple[FloatArray, FloatArra
     rows = np.arange(len(behind))
     speed = speed_mps[pairs.index]
     return gap, speed[rows, behind] - speed[rows, 1 - behind], behind
-
-
-# ---------------------------------------------------------------------------------------------
-# What suggestions rest on: the nodes of the semantic graphs
-
-
-@dataclass(frozen=True, eq=False)
-class Encounters:
-    """Both vehicles of every node at their conflict, [E, M] each; times are from now.
-
-    `enter` is when the front bumper comes into the area that the outlines share (see `pairs`),
-    `leave` when the rear bumper is out of it. Meaningless where the node is masked.
-    """
-
-    ego_enter_s: FloatArray
-    ego_leave_s: FloatArray
-    other_enter_s: FloatArray
-    other_leave_s: FloatArray
-    ego_room_m: FloatArray  # from the front bumper to where the vehicle enters
-    other_room_m: FloatArray
-
-    def predicted_encroachment_s(self) -> FloatArray:
-        """Predictive encroachment time [E, M]: from the first leaving to the second entering.
-
-        Negative where both are predicted to be there at once (Allen et al. 1978, PET, ahead of
-        the event).
-        """
-        return _encroachment_s(
-            self.ego_enter_s, self.ego_leave_s, self.other_enter_s, self.other_leave_s
-        )
-
-
-def encounters(road: Road, scene: Scene, prediction: Prediction) -> Encounters:
-    """Entry and leaving times of egos and their interacting vehicles.
-
-    Needs `prediction.graphs` and `prediction.lines`.
-    """
-    graphs, lines = prediction.graphs, prediction.lines
-    assert graphs is not None and lines is not None
-    travelled = travelled_m(scene, prediction)
-    ego = np.repeat(graphs.ego[:, None], graphs.rear.shape[1], axis=1)
-    other = np.where(graphs.node_mask, graphs.rear, ego)
-    index = np.stack((ego, other), axis=-1)
-    to_point = np.stack((graphs.ego_to_conflict_m, graphs.rear_to_conflict_m), axis=-1)
-    flat = index.reshape(-1, 2)
-    point_s = lines.s_m[flat] + to_point.reshape(-1, 2)
-    half, _ = area_m(road, scene, flat, lines.line[flat], point_s, graphs.conflict_type.reshape(-1))
-    half = half.reshape(to_point.shape)
-    room, clear = to_point - half, to_point + half
-    return Encounters(
-        ego_enter_s=arrival_s(travelled, ego, room[..., 0]),
-        ego_leave_s=arrival_s(travelled, ego, clear[..., 0]),
-        other_enter_s=arrival_s(travelled, other, room[..., 1]),
-        other_leave_s=arrival_s(travelled, other, clear[..., 1]),
-        ego_room_m=room[..., 0],
-        other_room_m=room[..., 1],
-    )

@@ -60,9 +60,9 @@ class DangerRecorder:
         rows = np.concatenate([np.zeros((0, 5)), *self._rows])
         place = np.argsort(np.argsort(np.array(list(self._index), dtype=np.str_)))
         pair = np.sort(place[rows[:, 1:3].astype(np.int64)], axis=1)
-        order = np.lexsort((-rows[:, 3], rows[:, 0], rows[:, 4], pair[:, 1], pair[:, 0]))
+        order = np.lexsort((-rows[:, 3], rows[:, 0], pair[:, 1], pair[:, 0]))
         rows, pair = rows[order], pair[order]
-        key = np.column_stack([pair, rows[:, 4], rows[:, 0]])
+        key = np.column_stack([pair, rows[:, 0]])
         keep = np.ones(len(rows), dtype=np.bool_)
         keep[1:] = (np.diff(key, axis=0) != 0.0).any(axis=1)
         rows, pair = rows[keep], pair[keep]
@@ -77,15 +77,16 @@ def alerts_at(
     """The alerts of a rule at a threshold, by onset, as `assist.alert` would have raised them.
 
     What ends an alert is the same share of the threshold as in the settings, after the same pauses.
+    Its type is that of its onset.
     """
     settings = settings or AssistSettings()
     release = settings.alert_end_mps2 / settings.alert_onset_mps2
     row = np.flatnonzero(trace.danger >= release * threshold)
     if not len(row):
         return []
-    key = np.column_stack([trace.first, trace.second, trace.type])[row]
-    time_s, danger = trace.time_s[row], trace.danger[row]
-    new_pair = (np.diff(key, axis=0) != 0).any(axis=1)
+    pair = np.column_stack([trace.first, trace.second])[row]
+    time_s, danger, kind = trace.time_s[row], trace.danger[row], trace.type[row]
+    new_pair = (np.diff(pair, axis=0) != 0).any(axis=1)
     begins = np.concatenate(
         ([True], new_pair | (np.diff(time_s) > settings.end_after_s + ROUNDING_S))
     )
@@ -100,22 +101,22 @@ def alerts_at(
             continue
         onset = int(reached[at])
         peak = onset + int(danger[onset:end].argmax())
-        one, other, kind = key[onset].tolist()
+        one, other = pair[onset].tolist()
         alert = AlertInterval(
             first_id=trace.ids[one],
             second_id=trace.ids[other],
-            type=TYPES[kind],
+            type=TYPES[int(kind[onset])],
             onset_s=float(time_s[onset]),
             end_s=float(time_s[end - 1]),
             peak_s=float(time_s[peak]),
             severity=min(float(danger[peak]) / settings.severe_mps2, 1.0),
             danger=float(danger[peak]),
         )
-        pause_s = alert.onset_s - alerts[-1].end_s if before == (one, other, kind) else np.inf
+        pause_s = alert.onset_s - alerts[-1].end_s if before == (one, other) else np.inf
         if pause_s <= settings.cool_down_s + ROUNDING_S:
             alert = _joined(alerts.pop(), alert)
         alerts.append(alert)
-        before = (one, other, kind)
+        before = (one, other)
     return sorted(alerts, key=lambda one: (one.onset_s, one.first_id, one.second_id))
 
 
