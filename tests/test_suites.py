@@ -73,6 +73,10 @@ def test_who_violates_and_who_yields_late_differ_in_nothing_else() -> None:
         return {element.attrib["id"]: dict(element.attrib) for element in root.iter("vType")}
 
     late, never = types("late_yielders"), types("offenders")
+    foes = {name: values for name, values in late.items() if name.startswith("foe")}
+    twins = {name: never.pop(f"lawful_{name}") for name in foes}
+    for name, values in foes.items():
+        assert values == twins[name] | {"id": name, "probability": values["probability"]}
     assert late.keys() == never.keys()
     for name, values in late.items():
         more = {"jmIgnoreFoeProb", "jmIgnoreFoeSpeed", "jmIgnoreJunctionFoeProb"}
