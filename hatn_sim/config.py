@@ -188,7 +188,7 @@ def _load_sumocfg(path: Path, density: str | None, risk: str | None) -> Scenario
 
 
 def _load_toml(path: Path, density: str | None, risk: str | None) -> Scenario:
-    table = _Table(path, "", _read_toml(path))
+    table = _Table(path, "", read_toml(path))
     common = ("name", "title", "description", "simulator", "suite", "card")
     table.allow(*common, *{key for keys in KEYS_OF_SIMULATOR.values() for key in keys})
     simulator = table.choice("simulator", SIMULATORS)
@@ -283,7 +283,8 @@ def seed_numbers(text: str, where: str = "") -> tuple[int, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """What is in a TOML file. Raises InputError where it cannot be read."""
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except OSError as error:

@@ -7,7 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import scene_of
 
+from hatn_sim.assist.alert import AlertState, alert
+from hatn_sim.assist.moment import PairDangers
+from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import SafetyEvent, Score
 from hatn_sim.errors import InputError
 from hatn_sim.evaluation.comparison import by_risk, by_scene, compare_rules, curves_of, write_curves
@@ -20,11 +24,15 @@ from hatn_sim.score.sweep import best_within, operating, sweep, thresholds_of
 RULE = "hatn"
 
 
+def dangers(first: list[int], second: list[int], danger: list[float]) -> PairDangers:
+    return PairDangers(np.array(first), np.array(second), np.array(danger))
+
+
 def trace_of(*rows: tuple[float, str, str, float]) -> DangerTrace:
     """From (time, vehicle, vehicle, danger)."""
     recorder = DangerRecorder()
     for time_s, one, other, danger in rows:
-        recorder.add(time_s, [one, other], np.array([0]), np.array([1]), np.array([danger]))
+        recorder.add(time_s, [one, other], dangers([0], [1], [danger]))
     return recorder.trace()
 
 
@@ -100,13 +108,37 @@ def test_pauses_are_bridged_and_a_pair_is_not_warned_of_again_at_once(
 def test_of_a_pair_named_twice_the_worse_counts_and_pairs_do_not_mix() -> None:
     recorder = DangerRecorder()
     ids = ["z", "a", "m"]
-    recorder.add(1.0, ids, np.array([0, 1, 2]), np.array([1, 0, 1]), np.array([1.0, 3.0, 2.0]))
+    recorder.add(1.0, ids, dangers([0, 1, 2], [1, 0, 1], [1.0, 3.0, 2.0]))
     trace = recorder.trace()
     found = {
         (trace.ids[a], trace.ids[b]): d
         for a, b, d in zip(trace.first, trace.second, trace.danger, strict=True)
     }
     assert found == {("a", "z"): 3.0, ("a", "m"): 2.0}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_alerts_afterwards_are_those_that_were_raised_live(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    settings = AssistSettings()
+    level = np.abs(np.cumsum(rng.normal(0.0, 0.5, (150, 3)), axis=0)) * (rng.random((150, 3)) < 0.8)
+    first, second = np.array([0, 0, 1]), np.array([1, 2, 2])
+    recorder, state = DangerRecorder(), AlertState()
+    raised: list[tuple[str, str, str, float]] = []
+    nothing = PairDangers(first[:0], second[:0], level[0, :0])
+    for k in range(180):
+        scene = scene_of(0.2 * k, dict.fromkeys("cab", (0.0, 0.0, 0.0, 1.0)))
+        found = PairDangers(first, second, level[k]) if k < len(level) else nothing
+        recorder.add(scene.time_s, scene.ids, found)
+        state, edges = alert(state, scene, found, settings, None)
+        raised += [(*sorted((e.ego_id, e.other_id)), e.edge, e.time_s) for e in edges]
+    told = [
+        (one.first_id, one.second_id, edge, time_s)
+        for one in alerts_at(recorder.trace(), settings.alert_onset_mps2, settings)
+        for edge, time_s in (("onset", one.onset_s), ("peak", one.peak_s), ("end", one.end_s))
+    ]
+    assert len(told) > 6
+    assert sorted(told) == sorted(raised)
 
 
 # ---------------------------------------------------------------------------------------------
@@ -240,7 +272,7 @@ def test_rules_side_by_side_at_equal_false_alarms(tmp_path: Path) -> None:
         for run in runs
     ]
     curves = curves_of(vague)
-    scores = compare_rules(vague, curves, ours_threshold=1.5)
+    scores = compare_rules(vague, curves, AssistSettings(alert_onset_mps2=1.5, alert_end_mps2=1.2))
     told = {
         (one.predictor, one.subset): one.value for one in scores if one.measure == "event_recall"
     }

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hatn_sim.datatypes import DT_S, Frame, Truth
+from hatn_sim.score.close_passes import close_passes
 from hatn_sim.score.driven import Driven, driven_by, driven_from_arrays
 from hatn_sim.score.events import brakings, collisions, severe_events, vehicle_hours
 
@@ -229,3 +230,53 @@ def scenes_of(driven: Driven) -> list:
             )
         )
     return scenes
+
+
+# ---------------------------------------------------------------------------------------------
+# T3
+
+
+def test_a_crossing_passed_closely_by_hand() -> None:
+    # At 10 m/s either blocks the other's way while its centre is within 2.5 m + 1 m of the origin.
+    first = ("b", straight(np.full(FRAMES, 10.0), -20.0, 0.0, 0.0))  # at the origin at 2.0 s
+    second = ("a", straight(np.full(FRAMES, 10.0), 0.0, -40.0, NORTH))  # at 4.0 s
+    (event,) = close_passes(drive(first, second))
+    assert (event.tier, event.first_id, event.second_id) == ("T3", "a", "b")
+    # The one is gone at 2.35 s, the other comes at 3.65 s.
+    assert event.encroachment_s == pytest.approx(1.3, abs=0.11)
+    assert event.start_s == pytest.approx(103.65, abs=0.11)
+    far = ("a", straight(np.full(FRAMES, 10.0), 0.0, -60.0, NORTH))
+    assert close_passes(drive(first, far)) == []
+
+
+def test_followers_and_those_that_pass_beside_pass_nobody_closely() -> None:
+    ahead = ("a", straight(np.full(FRAMES, 10.0), -20.0, 0.0, 0.0))
+    behind = ("b", straight(np.full(FRAMES, 10.0), -30.0, 0.0, 0.0))
+    beside = ("c", straight(np.full(FRAMES, 10.0), -25.0, 3.0, 0.0))
+    assert close_passes(drive(ahead, behind, beside)) == []
+
+
+def test_one_behind_the_other_around_a_tight_turn_is_no_close_pass() -> None:
+    radius_m, angle = 7.0, np.linspace(0.0, 1.5 * np.pi, FRAMES)
+
+    def turning(late_m: float) -> np.ndarray:
+        at = angle - late_m / radius_m
+        x, y = radius_m * np.sin(at), -radius_m * np.cos(at)
+        speed = np.full(FRAMES, radius_m * (angle[1] - angle[0]) / DT_S)
+        return np.column_stack([x, y, at, speed])
+
+    assert close_passes(drive(("a", turning(0.0)), ("b", turning(6.0)))) == []
+
+
+def test_a_merge_counts_until_the_two_follow_each_other() -> None:
+    # The second comes onto the first one's way at 30 degrees, 2 s later, and then speeds up to it.
+    first = straight(np.full(FRAMES, 10.0), -20.0, 0.0, 0.0)  # at the origin at 2 s
+    turn = np.deg2rad(30.0)
+    second = straight(np.full(FRAMES, 10.0), -40.0 * np.cos(turn), -40.0 * np.sin(turn), turn)
+    after = 41  # at the origin at 4 s; from then on only 1.0 s behind
+    second[after:] = straight(np.full(FRAMES - after, 10.0), 11.0, 0.0, 0.0)
+    (event,) = close_passes(drive(("a", first), ("b", second)))
+    # The front corner is on the other's way about 5 m before the centre is: 0.5 s, and the
+    # other's rear is gone 0.25 s after its centre.
+    assert event.encroachment_s is not None and 0.9 < event.encroachment_s < 1.8
+    assert event.start_s < 104.0 + 0.11

@@ -8,7 +8,7 @@ l/2 + (u + w |cos a|) / (2 |sin a|) of the point where the lines cross.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
@@ -17,7 +17,6 @@ from scipy.spatial import KDTree
 from hatn_sim.conflicts import CONFLICT_WIDTH_M
 from hatn_sim.datatypes import ConflictType, FloatArray, IntArray, Lines, Scene
 from hatn_sim.geometry import wrap_angle
-from hatn_sim.perception import find_leaders
 from hatn_sim.road import Road
 
 REACH_M: Final = 60.0
@@ -43,16 +42,22 @@ class Pairs:
     room_m: FloatArray  # [Q, 2]
     clear_m: FloatArray  # [Q, 2]
     to_point_m: FloatArray  # [Q, 2] from the centre to the point of conflict
+    length_m: FloatArray  # [Q, 2] of the vehicles
     angle_rad: FloatArray  # [Q] between the lines there, 0 ... pi
 
 
-def pairs_of(road: Road, scene: Scene, lines: Lines) -> Pairs:
-    """All pairs of this moment: the first conflict of each two lines that neither has left."""
-    met, behind = _at_conflicts(road, scene, lines), _following(road, scene, lines)
+def pairs_of(
+    road: Road, scene: Scene, lines: Lines, leader: IntArray, leader_s_m: FloatArray
+) -> Pairs:
+    """All pairs of this moment: the first conflict of each two lines that neither has left.
+
+    `leader` and `leader_s_m` [N] are those of `Perception`.
+    """
+    met, behind = _at_conflicts(road, scene, lines), _following(scene, lines, leader, leader_s_m)
     return Pairs(
         *(
-            np.concatenate((getattr(met, name), getattr(behind, name)))
-            for name in ("index", "type", "room_m", "clear_m", "to_point_m", "angle_rad")
+            np.concatenate((getattr(met, field.name), getattr(behind, field.name)))
+            for field in fields(Pairs)
         )
     )
 
@@ -95,7 +100,13 @@ def _at_conflicts(road: Road, scene: Scene, lines: Lines) -> Pairs:
     first = _first_of_each(index[:, 0] * len(scene.ids) + index[:, 1], to_point.max(axis=1))
     index, to_point, half = index[first], to_point[first], half[first]
     return Pairs(
-        index, kind[first], to_point - half, to_point + half, to_point, angle[ahead][first]
+        index=index,
+        type=kind[first],
+        room_m=to_point - half,
+        clear_m=to_point + half,
+        to_point_m=to_point,
+        length_m=scene.size_m[index, 0],
+        angle_rad=angle[ahead][first],
     )
 
 
@@ -106,8 +117,7 @@ def _first_of_each(key: IntArray, rank: FloatArray) -> IntArray:
     return order[np.flatnonzero(np.diff(sorted_key, prepend=-1))]
 
 
-def _following(road: Road, scene: Scene, lines: Lines) -> Pairs:
-    leader, leader_s_m = find_leaders(road, scene, lines)
+def _following(scene: Scene, lines: Lines, leader: IntArray, leader_s_m: FloatArray) -> Pairs:
     follower = np.flatnonzero(leader >= 0)
     index = np.stack((leader[follower], follower), axis=1)
     away = leader_s_m[follower] - lines.s_m[follower]
@@ -120,5 +130,6 @@ def _following(road: Road, scene: Scene, lines: Lines) -> Pairs:
         room_m=np.stack((far, gap), axis=1),
         clear_m=np.stack((far, far), axis=1),
         to_point_m=np.stack((far, away), axis=1),
+        length_m=scene.size_m[index, 0],
         angle_rad=turned,
     )

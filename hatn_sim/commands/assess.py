@@ -13,15 +13,19 @@ With --calibrate, a threshold is sought instead: that which recalls most at no m
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.options import names, seconds, seconds_or_none, seeds, whole_number
+from hatn_sim.resources import SUITES
 
 if TYPE_CHECKING:
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Score
     from hatn_sim.evaluation.assessing import AssessPlan
@@ -33,12 +37,12 @@ EXAMPLES = """examples:
   hatn-sim assess --suite do_warn --seeds 401-440 --json
   hatn-sim assess --scenes intersection5 --risk courteous,inattentive --calibrate
 """
-SUITES: Final = ("do_warn", "suppress_warn", "no_warn")
 HELD_OUT: Final = tuple(range(401, 441))
 FOR_CALIBRATION: Final = tuple(range(300, 340))
 DURATION_S: Final = 120.0
 FALSE_ALARMS_PER_HOUR: Final = 1.0
 RUNS_FOLDER: Final = "assessed"
+SETTINGS_FILE: Final = "assist.toml"
 CURVES_FILE: Final = "curves.csv"
 FIGURES: Final = ("curves.png", "curves.pdf")
 OURS: Final = "hatn"
@@ -81,6 +85,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rules", type=names, metavar="A,B", help="alert rules to compare (default: all)"
     )
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights of hatn")
+    parser.add_argument(
+        "--assist-settings",
+        type=Path,
+        metavar="FILE.toml",
+        help="thresholds of assistance, as --calibrate writes them (default: those that ship)",
+    )
     parser.add_argument(
         "--calibrate", action="store_true", help="seek the threshold of HATN's alerts"
     )
@@ -157,12 +167,17 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
 
 def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     """Every seed of every profile of every scene."""
+    from hatn_sim.assist.baselines import RULES
     from hatn_sim.commands.options import default_warm_up_s
     from hatn_sim.commands.versions import installed
-    from hatn_sim.evaluation.alert_rules import RULES, chosen_rules
+    from hatn_sim.errors import InputError, nearest
     from hatn_sim.evaluation.assessing import AssessPlan
 
-    rules = tuple(chosen_rules(arguments.rules or tuple(RULES)))
+    rules: tuple[str, ...] = arguments.rules or tuple(RULES)
+    for name in rules:
+        if name not in RULES:
+            raise InputError(f"--rules: unknown rule {name!r}{nearest(name, RULES)}")
+    settings = _settings(arguments)
     for_seeds = arguments.seeds or (FOR_CALIBRATION if arguments.calibrate else HELD_OUT)
     for scenario in _scenarios(arguments):
         warm_up_s = default_warm_up_s(scenario)
@@ -179,6 +194,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                 duration_s=arguments.duration,
                 weights=arguments.weights,
                 rules=rules,
+                settings=settings,
                 made_with={
                     "scene": scenario.name,
                     "density": scenario.density,
@@ -187,23 +203,31 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                     "warm_up_s": warm_up_s,
                     "duration_s": arguments.duration,
                     "rules": list(rules),
+                    "settings": asdict(settings),
                     "weights": _sha256(arguments.weights),
                     "versions": installed(),
                 },
             )
 
 
+def _settings(arguments: argparse.Namespace) -> AssistSettings:
+    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
+
+    path: Path | None = arguments.assist_settings
+    return AssistSettings() if path is None else read_assist_settings(path)
+
+
 def _scenarios(arguments: argparse.Namespace) -> Iterator[Scenario]:
     """The scenes that are named, each with each of its risk profiles that are wanted."""
     from hatn_sim.config import load_scenario
     from hatn_sim.errors import InputError
-    from hatn_sim.resources import find_scenarios
+    from hatn_sim.resources import scenes_of_suite
 
     words: Sequence[str] = arguments.scenes
     if arguments.suite is not None:
         if words:
             raise InputError(f"either --suite {arguments.suite} or --scenes; drop one")
-        words = [name for name in find_scenarios() if name.startswith(arguments.suite)]
+        words = scenes_of_suite(arguments.suite)
     if not words:
         raise InputError("name scenes with --scenes A,B, or a --suite")
     for word in words:
@@ -234,8 +258,9 @@ def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun])
     from hatn_sim.report.assistance_table import assistance_table
     from hatn_sim.report.table import scores_json, write_scores
 
-    curves: dict[str, dict[str, list[Operating]]] = curves_of(runs)
-    scores: list[Score] = compare_rules(runs, curves)
+    settings = _settings(arguments)
+    curves: dict[str, dict[str, list[Operating]]] = curves_of(runs, settings)
+    scores: list[Score] = compare_rules(runs, curves, settings)
     path = write_scores(out, scores)
     write_curves(out / CURVES_FILE, curves)
     draw_curves(curves, [out / name for name in FIGURES])
@@ -252,16 +277,33 @@ def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun])
 
 
 def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun]) -> int:
-    from hatn_sim.errors import HatnSimError
+    from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.score.sweep import best_within, sweep, thresholds_of
 
-    curve = sweep(runs, OURS, thresholds_of(runs, OURS))
+    if OURS not in runs[0].traces:
+        raise InputError(f"--rules: --calibrate is of {OURS}; add it")
+    settings = _settings(arguments)
+    curve = sweep(runs, OURS, thresholds_of(runs, OURS), settings)
     best = best_within(curve, arguments.false_alarms)
     if best is None:
         raise HatnSimError(
             f"no threshold keeps within {arguments.false_alarms:g} false alarms per vehicle-hour; "
             "allow more with --false-alarms, or add runs"
         )
-    written: dict[str, Any] = {"threshold": best.threshold}
-    print(f"threshold {written['threshold']:.4g}: {best}")
+    # Rounded up, so that what is written is as strict.
+    onset = math.ceil(100.0 * best.threshold) / 100.0
+    release = settings.alert_end_mps2 / settings.alert_onset_mps2
+    found = replace(settings, alert_onset_mps2=onset, alert_end_mps2=round(release * onset, 3))
+    path = out / SETTINGS_FILE
+    lines = [f"{field.name} = {getattr(found, field.name)}" for field in fields(found)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    print(
+        f"alerts from {onset:g} m/s2 on: {best.false_alarms_per_hour:.2f} false alarms per "
+        f"vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "
+        f"{_percent(best.recall_1s5)} by 1.5 s or more; settings in {path}"
+    )
     return 0
+
+
+def _percent(share: float) -> str:
+    return "none" if math.isnan(share) else f"{100.0 * share:.1f} %"

@@ -13,19 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
+from hatn_sim.assist.baselines import RULES
+from hatn_sim.assist.moment import Moment, Recent
+from hatn_sim.assist.settings import AssistSettings
+from hatn_sim.assist.suggest import SuggestionState, suggest
 from hatn_sim.config import Scenario
-from hatn_sim.datatypes import DT_S, Frame, Prediction, Predictor, Scene, Simulator
+from hatn_sim.datatypes import DT_S, Advice, Frame, Predictor, Simulator
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
-from hatn_sim.evaluation.alert_rules import Moment, chosen_rules
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.evaluation.runs import network_of_process
-from hatn_sim.loop import Adviser, AdviserState, advise, begin, observe, warm_up
+from hatn_sim.loop import warm_up
 from hatn_sim.perception import PerceptionState
-from hatn_sim.predictors.constant_velocity import extrapolate
 from hatn_sim.score.advised import AdviceRecorder
 from hatn_sim.score.assessed import AssessedRun, read_assessed, write_assessed
+from hatn_sim.score.close_passes import close_passes
 from hatn_sim.score.dangers import DangerRecorder
 from hatn_sim.score.driven import DrivenRecorder
 from hatn_sim.score.events import severe_events, vehicle_hours
@@ -50,7 +51,8 @@ class AssessPlan:
     warm_up_s: float
     duration_s: float  # that are scored
     weights: Path | None
-    rules: tuple[str, ...]
+    rules: tuple[str, ...]  # of `assist.baselines.RULES`
+    settings: AssistSettings
     made_with: Mapping[str, Any]  # what another run in its place is held against
 
     @property
@@ -114,10 +116,10 @@ class _Looking:
     def __init__(
         self, plan: AssessPlan, predictor: Predictor, simulator: Simulator, start_s: float
     ) -> None:
-        self._plan, self._road = plan, simulator.road
-        self._adviser = Adviser(predictor)
-        self._state: AdviserState = begin(self._adviser, simulator.road)
-        self._rules = chosen_rules(plan.rules)
+        self._plan, self._road, self._predictor = plan, simulator.road, predictor
+        self._memory: PerceptionState = predictor.init(simulator.road)
+        self._told = SuggestionState()
+        self._recent = Recent()
         self._dangers = {name: DangerRecorder() for name in plan.rules}
         low_s = start_s + RUN_IN_S
         self._window_s = (low_s, low_s + plan.duration_s)
@@ -129,25 +131,21 @@ class _Looking:
         self._driven.add(frame)
         if frame.scene.time_s >= self._window_s[1]:
             return
-        self._state = observe(self._adviser, self._state, frame)
+        scene = frame.scene
+        self._memory = self._predictor.observe(self._memory, scene)
         if index % LOOK_EVERY_FRAMES:
             return
-        prediction = self._adviser.predictor.predict(self._state.memory)
-        self._state, advice = advise(self._adviser, self._state, frame.scene, prediction)
+        prediction = self._predictor.predict(self._memory)
+        self._told, suggestions = suggest(self._told, scene, prediction, None)
         sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
-        self._advice.add(index, frame.scene.time_s, advice, sampled)
-        memory: PerceptionState = self._state.memory
-        moment = Moment(self._road, memory.seen, prediction, extrapolation(frame.scene))
-        for name, rule in self._rules.items():
-            found = rule(moment)
-            self._dangers[name].add(
-                frame.scene.time_s,
-                frame.scene.ids,
-                found.first,
-                found.second,
-                found.danger,
-                found.type,
-            )
+        advice = Advice(prediction, suggestions, ())
+        self._advice.add(index, scene.time_s, advice, sampled)
+        earlier = self._recent.earlier(scene.time_s)
+        self._recent = self._recent.with_newest(scene.time_s, prediction)
+        seen, settings = self._memory.seen, self._plan.settings
+        moment = Moment(self._road, seen, prediction, earlier, settings)
+        for name, recorder in self._dangers.items():
+            recorder.add(scene.time_s, scene.ids, RULES[name](moment))
 
     def assessed(self, notices: tuple[str, ...]) -> AssessedRun:
         """What is kept."""
@@ -158,18 +156,9 @@ class _Looking:
             seed=plan.seed,
             window_s=self._window_s,
             vehicle_hours=vehicle_hours(driven, *self._window_s),
-            events=tuple(severe_events(driven)),
+            events=(*severe_events(driven), *close_passes(driven)),
             traces={name: recorder.trace() for name, recorder in self._dangers.items()},
             advised=self._advice.advised(driven),
             made_with=plan.made_with,
             notices=notices,
         )
-
-
-def extrapolation(scene: Scene) -> Prediction:
-    """Everybody at constant velocity."""
-    count = len(scene.ids)
-    nobody = np.zeros(count, dtype=np.bool_)
-    return Prediction(
-        scene.ids, extrapolate(scene)[:, None], np.ones((count, 1)), fallback=nobody, adapted=nobody
-    )

@@ -10,26 +10,28 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import Score
-from hatn_sim.evaluation.alert_rules import THRESHOLDS
 from hatn_sim.score.assessed import AssessedRun
-from hatn_sim.score.assistance import ORACLE, alert_scores, suggestion_scores, warned
+from hatn_sim.score.assistance import ORACLE, alert_scores, rare_s, suggestion_scores, warned
 from hatn_sim.score.sweep import Operating, best_within, operating, sweep, thresholds_of
 
 OURS: Final = "hatn"
-FIXED: Final = ("always", "never")
-"""Rules without a threshold to choose."""
+FIXED: Final = {"always": 0.5, "never": 0.5}
+"""Rules without a threshold to choose, whose dangers are 1."""
 ALL: Final = "all"
 
 Curves = Mapping[str, Mapping[str, Sequence[Operating]]]
 """Scene -> rule -> the rule at each of its thresholds."""
 
 
-def curves_of(runs: Sequence[AssessedRun]) -> dict[str, dict[str, list[Operating]]]:
+def curves_of(
+    runs: Sequence[AssessedRun], settings: AssistSettings | None = None
+) -> dict[str, dict[str, list[Operating]]]:
     """Every rule with a threshold, swept, for each scene and all together."""
     return {
         scene: {
-            rule: sweep(of_scene, rule, thresholds_of(of_scene, rule))
+            rule: sweep(of_scene, rule, thresholds_of(of_scene, rule), settings)
             for rule in of_scene[0].traces
             if rule not in FIXED
         }
@@ -38,29 +40,34 @@ def curves_of(runs: Sequence[AssessedRun]) -> dict[str, dict[str, list[Operating
 
 
 def compare_rules(
-    runs: Sequence[AssessedRun], curves: Curves | None = None, ours_threshold: float | None = None
+    runs: Sequence[AssessedRun],
+    curves: Curves | None = None,
+    settings: AssistSettings | None = None,
 ) -> list[Score]:
     """The measures of every rule, for each scene and risk profile and pooled over each.
 
-    Ours is at the threshold that ships, the others where they recall most at no more false alarms
-    than ours in the same scene; see `score.sweep`.
+    Ours is at the threshold of the settings, the others where they recall most at no more false
+    alarms than ours in the same scene; see `score.sweep`.
     """
-    curves = curves_of(runs) if curves is None else curves
-    at = THRESHOLDS[OURS] if ours_threshold is None else ours_threshold
+    settings = settings or AssistSettings()
+    curves = curves_of(runs, settings) if curves is None else curves
+    rare = rare_s(runs)
     scores: list[Score] = []
     for scene, of_scene in by_scene(runs).items():
         rules = list(of_scene[0].traces)
-        thresholds = {rule: THRESHOLDS.get(rule, np.inf) for rule in (*rules, ORACLE)}
+        thresholds = {rule: FIXED.get(rule, np.inf) for rule in (*rules, ORACLE)}
         if OURS in rules:
-            thresholds[OURS] = at
-            rate = operating(of_scene, OURS, at).false_alarms_per_hour
+            thresholds[OURS] = settings.alert_onset_mps2
+            ours = operating(of_scene, OURS, settings.alert_onset_mps2, settings)
+            rate = ours.false_alarms_per_hour
             for rule, curve in curves[scene].items():
                 if rule != OURS:
                     best = best_within(curve, rate)
                     thresholds[rule] = np.inf if best is None else best.threshold
         for risk, chosen in by_risk(of_scene).items():
             for rule, threshold in thresholds.items():
-                scores += alert_scores(warned(chosen, rule, threshold), rule, scene, risk)
+                found = warned(chosen, rule, threshold, rare, settings)
+                scores += alert_scores(found, rule, scene, risk)
             scores += suggestion_scores(chosen, OURS, scene, risk)
     return scores
 

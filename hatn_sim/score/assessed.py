@@ -32,7 +32,6 @@ class AssessedRun:
     events: tuple[SafetyEvent, ...]  # of the window and 5 s after it
     traces: Mapping[str, DangerTrace]  # by rule
     advised: Advised
-    encroachments: int = 0  # pairs on crossing ways, however far apart in time
     counterfactuals: tuple[Mapping[str, Any], ...] = ()  # lines of counterfactuals.jsonl
     made_with: Mapping[str, Any] = field(default_factory=dict[str, Any])  # settings, to compare
     notices: tuple[str, ...] = ()
@@ -49,7 +48,6 @@ def write_assessed(path: Path, run: AssessedRun) -> None:
         "window_s": run.window_s,
         "vehicle_hours": run.vehicle_hours,
         "events": [asdict(event) for event in run.events],
-        "encroachments": run.encroachments,
         "counterfactuals": [dict(line) for line in run.counterfactuals],
         "made_with": dict(run.made_with),
         "notices": run.notices,
@@ -110,7 +108,6 @@ def _run_of(head: dict[str, Any], arrays: dict[str, Any]) -> AssessedRun:
             agrees=arrays["agrees"],
             always_yield_agrees=arrays["always_yield_agrees"],
         ),
-        encroachments=head["encroachments"],
         counterfactuals=tuple(head["counterfactuals"]),
         made_with=head["made_with"],
         notices=tuple(head["notices"]),

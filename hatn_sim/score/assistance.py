@@ -6,6 +6,7 @@
 | `recall_1s0` ... `recall_2s5` | share | of T1 and T2 events: it came 1.0, 1.5, 2.0, 2.5 s before |
 | `recall_t1`, `recall_t2` | share | of the events of one tier |
 | `recall_t3_1s5`, `_1s0` | share | of T3 events with an encroachment time under 1.5, 1.0 s |
+| `recall_t3_rare` | share | of those under the 1 % quantile of courteous drivers in that scene |
 | `precision` | share | hits of hits and false alarms |
 | `false_alarms_per_hour` | 1/h | per hour of a vehicle in view |
 | `false_alarms_per_100_crossings` | 1 | see `advised` for what a crossing is |
@@ -30,11 +31,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, Score
+from hatn_sim.assist.settings import AssistSettings
+from hatn_sim.config import DEFAULT_RISK
+from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, SafetyEvent, Score
 from hatn_sim.score import intervals
 from hatn_sim.score.assessed import AssessedRun
 from hatn_sim.score.dangers import alerts_at, oracle_alerts
@@ -42,6 +46,8 @@ from hatn_sim.score.matching import SEVERE, Outcome, match
 
 LEADS_S: Final = {"recall_1s0": 1.0, "recall_1s5": 1.5, "recall_2s0": 2.0, "recall_2s5": 2.5}
 NEAR_S: Final = {"recall_t3_1s5": 1.5, "recall_t3_1s0": 1.0}
+RARE: Final = "recall_t3_rare"
+RARE_SHARE: Final = 0.01
 QUARTILES: Final = {"lead_time_s": 0.5, "lead_time_s_q1": 0.25, "lead_time_s_q3": 0.75}
 ORACLE: Final = "oracle"
 ORACLE_LEAD_S: Final = 5.0
@@ -52,7 +58,7 @@ ROUNDING_S: Final = 1e-6
 
 COLUMNS: Final = (
     "events", "recalled", *LEADS_S, "t1", "t1_recalled", "t2", "t2_recalled",
-    *(f"{name}{part}" for name in NEAR_S for part in ("", "_recalled")),
+    *(f"{name}{part}" for name in (*NEAR_S, RARE) for part in ("", "_recalled")),
     "hits", "duplicates", "near", "false", "hours", "crossings", "unattributed", "brief",
 )  # fmt: skip
 """What is counted in every run."""
@@ -62,7 +68,7 @@ RATIOS: Final = {
     **{name: (name, "events", "share") for name in LEADS_S},
     "recall_t1": ("t1_recalled", "t1", "share"),
     "recall_t2": ("t2_recalled", "t2", "share"),
-    **{name: (f"{name}_recalled", name, "share") for name in NEAR_S},
+    **{name: (f"{name}_recalled", name, "share") for name in (*NEAR_S, RARE)},
     "false_alarms_per_hour": ("false", "hours", "1/h"),
     "false_alarms_per_100_crossings": ("false", "crossings", "1"),
     "near_alarms_per_hour": ("near", "hours", "1/h"),
@@ -95,9 +101,36 @@ class Warned:
         return float(sums[_OF[top]] / sums[_OF[bottom]]) if sums[_OF[bottom]] else np.nan
 
 
-def warned(runs: Sequence[AssessedRun], rule: str, threshold: float) -> Warned:
-    """What the rule's alerts come to at a threshold."""
-    found = [_count(run, _alerts(run, rule, threshold)) for run in runs]
+def rare_s(runs: Sequence[AssessedRun]) -> dict[str, float]:
+    """Scene -> the 1 % quantile of the encroachment times of its courteous drivers.
+
+    Of pairs on crossing ways that came within 3 s of each other; scenes without such have none.
+    """
+    near_s: dict[str, list[float]] = {}
+    for run in runs:
+        if run.risk == DEFAULT_RISK:
+            near_s.setdefault(run.scene, []).extend(
+                one.encroachment_s or 0.0 for one in run.events if one.tier == "T3"
+            )
+    return {
+        scene: float(np.quantile(times_s, RARE_SHARE))
+        for scene, times_s in near_s.items()
+        if times_s
+    }
+
+
+def warned(
+    runs: Sequence[AssessedRun],
+    rule: str,
+    threshold: float,
+    rare: Mapping[str, float] = MappingProxyType({}),
+    settings: AssistSettings | None = None,
+) -> Warned:
+    """What the rule's alerts come to at a threshold; `rare` is as `rare_s` says."""
+    found = [
+        _count(run, _alerts(run, rule, threshold, settings), rare.get(run.scene, 0.0))
+        for run in runs
+    ]
     leads = [leads for _, leads in found]
     return Warned(
         counts=np.array([counts for counts, _ in found]).reshape(-1, len(COLUMNS)),
@@ -106,20 +139,25 @@ def warned(runs: Sequence[AssessedRun], rule: str, threshold: float) -> Warned:
     )
 
 
-def _alerts(run: AssessedRun, rule: str, threshold: float) -> list[AlertInterval]:
+def _alerts(
+    run: AssessedRun, rule: str, threshold: float, settings: AssistSettings | None
+) -> list[AlertInterval]:
     if rule == ORACLE:
         return oracle_alerts(run.events, ORACLE_LEAD_S)
-    return alerts_at(run.traces[rule], threshold)
+    return alerts_at(run.traces[rule], threshold, settings)
 
 
-def _count(run: AssessedRun, alerts: Sequence[AlertInterval]) -> tuple[FloatArray, FloatArray]:
+def _count(
+    run: AssessedRun, alerts: Sequence[AlertInterval], rare: float
+) -> tuple[FloatArray, FloatArray]:
     """(counts, lead times of the severe events that were preceded)."""
-    found = match(run.events, alerts, run.window_s)
+    events = [event for event in run.events if event.tier != "T3" or _is_close(event)]
+    found = match(events, alerts, run.window_s)
     low_s, high_s = run.window_s
-    tier = np.array([event.tier for event in run.events], dtype=np.str_)
-    near_s = np.array([event.encroachment_s or 0.0 for event in run.events])
-    inside = np.array([low_s <= event.start_s < high_s for event in run.events], dtype=np.bool_)
-    alone = np.array([event.second_id is None for event in run.events], dtype=np.bool_)
+    tier = np.array([event.tier for event in events], dtype=np.str_)
+    near_s = np.array([event.encroachment_s or 0.0 for event in events])
+    inside = np.array([low_s <= event.start_s < high_s for event in events], dtype=np.bool_)
+    alone = np.array([event.second_id is None for event in events], dtype=np.bool_)
     severe, recalled = np.isin(tier, SEVERE), found.alert_of_event >= 0
     of = found.is_scored
     leads = found.lead_s[of & severe & recalled]
@@ -140,10 +178,15 @@ def _count(run: AssessedRun, alerts: Sequence[AlertInterval]) -> tuple[FloatArra
     for name in ("t1", "t2"):
         own = of & (tier == name.upper())
         counts |= {name: own.sum(), f"{name}_recalled": (own & recalled).sum()}
-    for name, most_s in NEAR_S.items():
-        own = of & (tier == "T3") & (near_s < most_s)
+    for name, most_s in {**NEAR_S, RARE: rare}.items():
+        own = of & (tier == "T3") & (near_s < most_s - ROUNDING_S)
         counts |= {name: own.sum(), f"{name}_recalled": (own & recalled).sum()}
     return np.array([float(counts[name]) for name in COLUMNS]), leads
+
+
+def _is_close(event: SafetyEvent) -> bool:
+    """Near enough that an alert on it is not false."""
+    return (event.encroachment_s or 0.0) < max(NEAR_S.values()) - ROUNDING_S
 
 
 # ---------------------------------------------------------------------------------------------

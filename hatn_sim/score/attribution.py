@@ -17,7 +17,8 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, BoolArray, FloatArray
+from hatn_sim.assist.outlines import Boxes, overlap
+from hatn_sim.datatypes import DT_S, FloatArray
 from hatn_sim.geometry import wrap_angle
 from hatn_sim.score.driven import Driven
 
@@ -132,32 +133,13 @@ def _encroachment(
     k, m = np.nonzero(np.hypot(between[..., 0], between[..., 1]) <= reach_m)
     if not len(k):
         return None
-    touch = _overlap(between[k, m], one.yaw_rad[k], one_size_m, other.yaw_rad[m], other_size_m)
+    touch = overlap(
+        Boxes(one.xy_m[k], one.yaw_rad[k], one_size_m),
+        Boxes(other.xy_m[m], other.yaw_rad[m], other_size_m),
+    )
     k, m = k[touch], m[touch]
     if not len(k):
         return None
     apart = np.abs(k - m)
     first = np.lexsort((np.minimum(k, m), apart))[0]
     return float(STEP_S * apart[first]), float(STEP_S * min(k[first], m[first]))
-
-
-def _overlap(
-    between: FloatArray,
-    one_yaw: FloatArray,
-    one_size_m: FloatArray,
-    other_yaw: FloatArray,
-    other_size_m: FloatArray,
-) -> BoolArray:
-    """Whether boxes overlap [Q] whose centres are `between` [Q, 2] apart: by separating axes."""
-    turn = other_yaw - one_yaw
-    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    touch = np.ones(len(between), dtype=np.bool_)
-    for yaw, own, others in (
-        (one_yaw, one_size_m, other_size_m),
-        (other_yaw, other_size_m, one_size_m),
-    ):
-        along = between[:, 0] * np.cos(yaw) + between[:, 1] * np.sin(yaw)
-        across = between[:, 1] * np.cos(yaw) - between[:, 0] * np.sin(yaw)
-        touch &= np.abs(along) <= 0.5 * (own[0] + others[0] * cos + others[1] * sin)
-        touch &= np.abs(across) <= 0.5 * (own[1] + others[0] * sin + others[1] * cos)
-    return touch

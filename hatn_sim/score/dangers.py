@@ -12,15 +12,10 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.moment import CONFLICT, TYPES, PairDangers
+from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import AlertInterval, FloatArray, IntArray, SafetyEvent
 
-TYPES: Final = ("CONFLICT", "DEVIATION")
-RELEASE: Final = 0.8
-"""An alert ends when its danger stays under this share of the threshold ..."""
-END_AFTER_S: Final = 0.5
-"""... for longer than this."""
-COOL_DOWN_S: Final = 2.0
-"""A pair warned of is not warned of again so soon: the alert goes on."""
 ROUNDING_S: Final = 1e-6
 
 
@@ -43,26 +38,21 @@ class DangerRecorder:
         self._index: dict[str, int] = {}
         self._rows: list[FloatArray] = []
 
-    def add(
-        self,
-        time_s: float,
-        ids: Sequence[str],
-        first: IntArray,
-        second: IntArray,
-        danger: FloatArray,
-        type_: IntArray | None = None,
-    ) -> None:
-        """Dangers [P] of pairs of vehicles, each by its place in `ids`; in any order."""
+    def add(self, time_s: float, ids: Sequence[str], dangers: PairDangers) -> None:
+        """Dangers of pairs of vehicles `ids`; in any order."""
+        first, second = dangers.first, dangers.second
         if not len(first):
             return
         index = self._index
         named: list[int] = np.unique(np.concatenate([first, second])).tolist()
         number = {v: index.setdefault(ids[v], len(index)) for v in named}
-        kind = np.zeros(len(first), dtype=np.int64) if type_ is None else type_
+        kind = np.full(len(first), CONFLICT) if dangers.type is None else dangers.type
         told = [
             [number[a], number[b]] for a, b in zip(first.tolist(), second.tolist(), strict=True)
         ]
-        self._rows.append(np.column_stack([np.full(len(first), time_s), told, danger, kind]))
+        self._rows.append(
+            np.column_stack([np.full(len(first), time_s), told, dangers.danger, kind])
+        )
 
     def trace(self) -> DangerTrace:
         """All that was taken in; of a pair that was named twice at a moment, the worse."""
@@ -81,19 +71,24 @@ class DangerRecorder:
         )
 
 
-def alerts_at(trace: DangerTrace, threshold: float) -> list[AlertInterval]:
-    """The alerts of a rule at a threshold, by onset.
+def alerts_at(
+    trace: DangerTrace, threshold: float, settings: AssistSettings | None = None
+) -> list[AlertInterval]:
+    """The alerts of a rule at a threshold, by onset, as `assist.alert` would have raised them.
 
-    An alert begins where a pair's danger reaches the threshold, and ends at the last moment at
-    which it was at least `RELEASE` of that, if that was `END_AFTER_S` ago or the run is over.
+    What ends an alert is the same share of the threshold as in the settings, after the same pauses.
     """
-    row = np.flatnonzero(trace.danger >= RELEASE * threshold)
+    settings = settings or AssistSettings()
+    release = settings.alert_end_mps2 / settings.alert_onset_mps2
+    row = np.flatnonzero(trace.danger >= release * threshold)
     if not len(row):
         return []
     key = np.column_stack([trace.first, trace.second, trace.type])[row]
     time_s, danger = trace.time_s[row], trace.danger[row]
     new_pair = (np.diff(key, axis=0) != 0).any(axis=1)
-    begins = np.concatenate(([True], new_pair | (np.diff(time_s) > END_AFTER_S + ROUNDING_S)))
+    begins = np.concatenate(
+        ([True], new_pair | (np.diff(time_s) > settings.end_after_s + ROUNDING_S))
+    )
     start = np.flatnonzero(begins)
     stop = np.append(start[1:], len(row))
     reached = np.flatnonzero(danger >= threshold)
@@ -113,10 +108,11 @@ def alerts_at(trace: DangerTrace, threshold: float) -> list[AlertInterval]:
             onset_s=float(time_s[onset]),
             end_s=float(time_s[end - 1]),
             peak_s=float(time_s[peak]),
-            severity=0.0,
+            severity=min(float(danger[peak]) / settings.severe_mps2, 1.0),
             danger=float(danger[peak]),
         )
-        if before == (one, other, kind) and alert.onset_s - alerts[-1].end_s < COOL_DOWN_S:
+        pause_s = alert.onset_s - alerts[-1].end_s if before == (one, other, kind) else np.inf
+        if pause_s <= settings.cool_down_s + ROUNDING_S:
             alert = _joined(alerts.pop(), alert)
         alerts.append(alert)
         before = (one, other, kind)
@@ -143,7 +139,7 @@ def oracle_alerts(events: Sequence[SafetyEvent], lead_s: float) -> list[AlertInt
         AlertInterval(
             event.first_id,
             event.second_id,
-            TYPES[0],
+            TYPES[CONFLICT],
             event.start_s - lead_s,
             event.start_s,
             event.start_s,

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.config import DEFAULT_RISK
 from hatn_sim.datatypes import BoolArray, FloatArray
 from hatn_sim.score.assessed import AssessedRun
@@ -62,14 +63,24 @@ def _peaks(run: AssessedRun, rule: str) -> FloatArray:
     return np.maximum.reduceat(trace.danger, np.flatnonzero(np.append(True, changes)))
 
 
-def sweep(runs: Sequence[AssessedRun], rule: str, thresholds: Sequence[float]) -> list[Operating]:
+def sweep(
+    runs: Sequence[AssessedRun],
+    rule: str,
+    thresholds: Sequence[float],
+    settings: AssistSettings | None = None,
+) -> list[Operating]:
     """The rule at every threshold."""
-    return [operating(runs, rule, threshold) for threshold in thresholds]
+    return [operating(runs, rule, threshold, settings) for threshold in thresholds]
 
 
-def operating(runs: Sequence[AssessedRun], rule: str, threshold: float) -> Operating:
+def operating(
+    runs: Sequence[AssessedRun],
+    rule: str,
+    threshold: float,
+    settings: AssistSettings | None = None,
+) -> Operating:
     """The rule at one threshold."""
-    found = warned(runs, rule, threshold)
+    found = warned(runs, rule, threshold, settings=settings)
     return Operating(
         threshold=threshold,
         false_alarms_per_hour=found.of_runs(quiet(runs)).rate("false_alarms_per_hour"),
