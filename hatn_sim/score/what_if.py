@@ -65,9 +65,9 @@ class _Asked:
 class WhatIf:
     """Judges a sample of the alerts and suggestions of a run.
 
-    Alerts are asked about at their onset, suggestions when another slot is advised than before, never
-    those that abstain. A warned ego obeys by the profile of the slot it is advised, or of yielding where
-    it is advised none.
+    Alerts are asked about at their onset, suggestions when another slot is advised than before,
+    never those that abstain. A warned ego obeys by the profile of the slot it is advised, or of
+    yielding where it is advised none.
     """
 
     def __init__(
