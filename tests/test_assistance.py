@@ -17,7 +17,12 @@ from hatn_sim.errors import InputError
 from hatn_sim.evaluation.comparison import by_risk, by_scene, compare_rules, curves_of, write_curves
 from hatn_sim.score.advised import Advised
 from hatn_sim.score.assessed import AssessedRun, read_assessed, write_assessed
-from hatn_sim.score.assistance import alert_scores, suggestion_scores, warned
+from hatn_sim.score.assistance import (
+    alert_scores,
+    counterfactual_scores,
+    suggestion_scores,
+    warned,
+)
 from hatn_sim.score.dangers import DangerRecorder, DangerTrace, alerts_at
 from hatn_sim.score.sweep import best_within, operating, sweep, thresholds_of
 
@@ -226,6 +231,45 @@ def test_suggestions_by_hand() -> None:
     assert value(scores, "suggestion_brier") == pytest.approx(brier)
     # Of 15 bins: 0.55 (right) alone, 0.6 (wrong), 0.75 (right) and 0.9 (right) each alone.
     assert value(scores, "suggestion_ece") == pytest.approx((0.45 + 0.6 + 0.25 + 0.1) / 4)
+
+
+def test_verdicts_and_regret_by_hand() -> None:
+    def alert_line(verdict: str, ignored: int) -> dict[str, object]:
+        return {"about": "alert", "lost": False, "verdict": verdict, "ignored": [{}] * ignored}
+
+    def slot_line(driver: str | None, own: float, yielding: float, his: float) -> dict[str, object]:
+        costs = {"regret": own, "always_yield_regret": yielding, "driver_regret": his}
+        return {
+            "about": "suggestion",
+            "lost": False,
+            "slot_id": "b",
+            "driver_slot_id": driver,
+        } | costs
+
+    lines = (
+        alert_line("useful", 1),
+        alert_line("unavailing", 2),
+        alert_line("unneeded", 0),
+        alert_line("harmful", 0),
+        {"about": "alert", "lost": True},
+        slot_line("b", 0.0, 2.0, 0.0),
+        slot_line("a", 1.0, 4.0, 3.0),
+        slot_line(None, 2.0, 0.0, 1.0),
+    )
+    scores = counterfactual_scores([replace(run_of(), counterfactuals=lines)], RULE, "s", "r")
+    expected = {
+        "useful_share": 0.5,
+        "harmful_share": 0.25,
+        "unneeded_share": 0.25,
+        "regret": 1.0,
+        "always_yield_regret": 2.0,
+        "driver_regret": 4 / 3,
+        "regret_where_different": 1.0,
+        "driver_regret_where_different": 3.0,
+        "lost_branches": 1 / 8,
+    }
+    assert {one.measure: one.value for one in scores} == pytest.approx(expected)
+    assert counterfactual_scores([run_of()], RULE, "s", "r") == []
 
 
 # ---------------------------------------------------------------------------------------------

@@ -136,7 +136,7 @@ def test_faults_in_scenario_toml(folder: Path) -> None:
         f"{where}: simulator: unknown value 'suma'; did you mean 'sumo'?"
     )
     assert fault(folder, "[density]", 'suite = "do_wran"\n[density]') == (
-        f"{where}: suite: unknown value 'do_wran'; did you mean 'do_warn'?"
+        f"{where}: suite: unknown value 'do_wran'; did you mean 'do_warn' or 'no_warn'?"
     )
     assert fault(folder, "0.5", '"half"') == (
         f"{where}: density.light: expected a positive number, found 'half'"

@@ -73,6 +73,10 @@ def test_who_violates_and_who_yields_late_differ_in_nothing_else() -> None:
         return {element.attrib["id"]: dict(element.attrib) for element in root.iter("vType")}
 
     late, never = types("late_yielders"), types("offenders")
+    foes = {name: values for name, values in late.items() if name.startswith("foe")}
+    twins = {name: never.pop(f"lawful_{name}") for name in foes}
+    for name, values in foes.items():
+        assert values == twins[name] | {"id": name, "probability": values["probability"]}
     assert late.keys() == never.keys()
     for name, values in late.items():
         more = {"jmIgnoreFoeProb", "jmIgnoreFoeSpeed", "jmIgnoreJunctionFoeProb"}
@@ -114,7 +118,7 @@ def test_the_cards_say_what_a_suite_promises(name: str) -> None:
     figures = scenario.card["suite"][scenario.suite]
     assert figures["unscripted_per_run"] == 0.0
     if scenario.suite == "do_warn":
-        assert figures["event_share"] >= 0.8
+        assert figures["event_percent"] >= 80.0
         assert figures["collisions_per_run"] > 0.0
     else:
         assert figures["collisions_per_run"] == figures["hard_brakings_per_run"] == 0.0
@@ -158,7 +162,7 @@ def test_encounters_by_hand() -> None:
     assert encounter_figures(count + count) == {
         "vehicle_hours": pytest.approx(1e-1 / 360),
         "encounters_per_run": 2.0,
-        "event_share": 0.5,
+        "event_percent": 50.0,
         "collisions_per_run": 2.0,
         "hard_brakings_per_run": 2.0,
         "unscripted_per_run": 2.0,
@@ -173,5 +177,5 @@ def test_figures_of_nothing_have_no_value() -> None:
 
 def test_a_run_without_encounters_has_no_share() -> None:
     figures = encounter_figures(count_encounters(frame({}), [frame({})], dt_s=0.1))
-    assert figures["event_share"] is None
+    assert figures["event_percent"] is None
     assert figures["encounters_per_run"] == 0.0

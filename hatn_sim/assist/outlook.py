@@ -41,8 +41,8 @@ from hatn_sim.speed_profile import LATERAL_MPS2
 
 PLAUSIBLE_WEIGHT: Final = 0.1
 """Components of a goal distribution with less weight are not reckoned with."""
-PLAUSIBLE_STD: Final = 1.645
-"""One in twenty of a component goes farther than this many of its standard deviations."""
+PLAUSIBLE_STD: Final = 1.28
+"""One in ten of a component goes farther than this many of its standard deviations."""
 LEAVE_MARGIN_S: Final = 0.3
 """An area opens so long after whoever was let go has left it."""
 _ACCELERATION: Final = CONTEXT.index("acceleration_mps2 of the rear vehicle")
@@ -130,22 +130,27 @@ def approaches(
     outlook: Outlook,
     row: IntArray,
     slot: IntArray,
+    named: IntArray,
     has_stopped: BoolArray,
     start_s: float = 0.0,
 ) -> tuple[Approach, FloatArray]:
     """What egos of graphs [R] have to keep to in order to take slots [R].
 
+    On a yield, the vehicles of nodes `named` [R] go first, and whoever would be met then.
     Also when the area opens for them [R]: the last of those let go has left; 0 on a pass.
     `has_stopped` [R] is of the stop line ahead: they have done so, and may go on. Until `start_s`
     they drive as predicted.
     """
     graphs, scene = outlook.graphs, outlook.scene
     ego = graphs.ego[row]
-    first, area_s = _let_go(outlook, row, slot)
+    first, area_s = _let_go(outlook, row, slot, named)
     others = graphs.node_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
     further = others & ~graphs.focus_mask[row]
     # At later conflicts the order is the predicted one.
     first |= further & (outlook.enter_s[row] < outlook.ego_enter_s[row])
+    # Who has begun to merge is kept apart from those ahead by following them.
+    merging = graphs.conflict_type[row] == ConflictType.MERGE
+    closed = first & ~(merging & (outlook.room_m[row] <= 0.0))
     opens = outlook.leave_s[row] + LEAVE_MARGIN_S
     knot_s: FloatArray = start_s + _KNOT_S
     leader_m, leader_mps = _leaders(outlook, row, first, knot_s)
@@ -168,25 +173,27 @@ def approaches(
             leader_m=leader_m,
             leader_mps=leader_mps,
             stop_m=to_line,
-            area_m=np.where(first, outlook.room_m[row], np.inf),
-            open_s=np.where(first, opens, 0.0),
+            area_m=np.where(closed, outlook.room_m[row], np.inf),
+            open_s=np.where(closed, opens, 0.0),
         ),
         area_s,
     )
 
 
-def _let_go(outlook: Outlook, row: IntArray, slot: IntArray) -> tuple[BoolArray, FloatArray]:
+def _let_go(
+    outlook: Outlook, row: IntArray, slot: IntArray, named: IntArray
+) -> tuple[BoolArray, FloatArray]:
     """Who of the focus group goes before the ego [R, M], and when the last of them has left [R].
 
-    On a yield: whoever is predicted to be first, and everybody after it whom the ego would meet if
-    it went then. On a pass: nobody.
+    On a yield: whoever is named, and everybody whom the ego would meet if it went then. On a pass:
+    nobody.
     """
     graphs = outlook.graphs
     group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
     enter = np.where(group, outlook.enter_s[row], np.inf)
     leave = outlook.leave_s[row] + LEAVE_MARGIN_S
     yields = slot == 0
-    first = group & yields[:, None] & (enter <= enter.min(axis=1, initial=np.inf)[:, None])
+    first = group & yields[:, None] & (np.arange(group.shape[1]) == named[:, None])
     room = np.maximum(outlook.room_m[row], 0.0)
     within = np.maximum(outlook.clear_m[row] - room, 0.0)
     speed = outlook.scene.speed_mps[graphs.ego[row]][:, None]
@@ -210,7 +217,8 @@ def _leaders(
     outlook: Outlook, row: IntArray, first: BoolArray, time_s: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Rear bumper [R, G] and speed [R, G] of the nearest ahead of the ego's front bumper: of its
-    leader, and of those it lets merge before it, from when they have left the area."""
+    leader, and of those it lets merge before it, from when they have left the
+    area, or from now on where the ego has begun to merge behind them."""
     graphs, scene = outlook.graphs, outlook.scene
     ego, leader = graphs.ego[row], graphs.leader[row]
     travel, speed = travel_at(outlook.travelled_m, time_s)
@@ -221,7 +229,8 @@ def _leaders(
     other, of = graphs.rear[row[r], m], row[r]
     half_m = 0.5 * (scene.size_m[ego[r], 0] + scene.size_m[other, 0])
     before_m = graphs.ego_to_conflict_m[of, m] - graphs.rear_to_conflict_m[of, m] - half_m
-    in_lane = time_s >= outlook.leave_s[of, m][:, None]
+    begun = outlook.room_m[of, m] <= 0.0
+    in_lane = begun[:, None] | (time_s >= outlook.leave_s[of, m][:, None])
     place = np.where(in_lane, before_m[:, None] + travel[other], np.inf)
     for k in range(len(r)):  # one after the other: several may merge before one ego
         nearer = place[k] < ahead[r[k]]

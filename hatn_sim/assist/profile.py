@@ -33,13 +33,28 @@ SLOWING_MPS2: Final = 1.5
 """Braking for a bend, a limit or a stop line, which are known long before."""
 EASE_S: Final = 0.5
 """Differences of speed are made up for in this time."""
-LEADER_GAP_M: Final = 2.0
-LEADER_TIME_S: Final = 0.9
+LAG_S: Final = 0.3
+"""How long an acceleration lasts until it can be another."""
 SHORT_M: Final = 0.5
 """Who has to stop does so this far before the place."""
 SURE_S: Final = 1.0
 """Until so long before an area opens, the vehicle can still stop before it within comfort."""
 FAR_S: Final = 60.0
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How a vehicle keeps out of a place. The jerk, which is bounded too, takes what is left to
+    the limit of comfort."""
+
+    braking_mps2: float
+    time_s: float
+    short_m: float
+
+
+AREA: Final = Rule(2.4, 0.9, SHORT_M)
+LEADER: Final = Rule(2.4, 0.9, 2.0)
+LINE: Final = Rule(SLOWING_MPS2, 0.9, SHORT_M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +139,15 @@ def drive(approach: Approach) -> Profiles:
     )
     speeds[0], accelerations[0], travels[0] = speed, acceleration, travelled
     for knot in range(1, KNOTS + 1):
-        wanted = np.minimum(
-            np.minimum(_by_road(approach, speed, travelled), _by_line(approach, speed, travelled)),
-            _by_areas(approach, speed, travelled, approach.start_s + (knot - 1) * KNOT_S),
+        now = speed, acceleration, travelled
+        leader_mps = approach.leader_mps[:, knot]
+        behind = _keep_out(
+            approach.leader_m[:, knot] - travelled, speed, acceleration, LEADER, leader_mps
         )
-        wanted = np.minimum(wanted, _by_leader(approach, speed, travelled, knot))
+        line = _keep_out(approach.stop_m - travelled, speed, acceleration, LINE)
+        wanted = np.minimum(np.minimum(behind, line), _by_road(approach, *now))
+        passed_s = approach.start_s + (knot - 1) * KNOT_S
+        wanted = np.minimum(wanted, _by_areas(approach, *now, passed_s))
         jerk = np.where(wanted < -COMFORT_BRAKING_MPS2, HARD_JERK_MPS3, COMFORT_JERK_MPS3)
         before = acceleration
         acceleration = np.clip(wanted, before - jerk * KNOT_S, before + COMFORT_JERK_MPS3 * KNOT_S)
@@ -147,41 +166,34 @@ def drive(approach: Approach) -> Profiles:
     return Profiles(approach.start_s, speeds.T, accelerations.T, travels.T)
 
 
-def _by_road(approach: Approach, speed: FloatArray, travelled: FloatArray) -> FloatArray:
+def _by_road(
+    approach: Approach, speed: FloatArray, acceleration: FloatArray, travelled: FloatArray
+) -> FloatArray:
     # Where it will be when the difference has been made up for.
-    ahead = np.minimum(
-        (travelled + EASE_S * speed) / ROAD_STEP_M, approach.allowed_mps.shape[1] - 1.001
-    )
+    last = approach.allowed_mps.shape[1] - 1.001
+    ahead = np.minimum((travelled + EASE_S * speed) / ROAD_STEP_M, last)
     low = ahead.astype(np.int64)
     row = np.arange(len(speed))
     before, after = approach.allowed_mps[row, low], approach.allowed_mps[row, low + 1]
     allowed = before + (ahead - low) * (after - before)
-    return np.maximum((allowed - speed) / EASE_S, -SLOWING_MPS2)
-
-
-def _by_leader(
-    approach: Approach, speed: FloatArray, travelled: FloatArray, knot: int
-) -> FloatArray:
-    gap = approach.leader_m[:, knot] - travelled - LEADER_GAP_M
-    braking, time_s = COMFORT_BRAKING_MPS2, LEADER_TIME_S
-    square = (braking * time_s) ** 2 + 2.0 * braking * gap + approach.leader_mps[:, knot] ** 2
-    safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - braking * time_s, 0.0)
-    return (safe - speed) / EASE_S
-
-
-def _by_line(approach: Approach, speed: FloatArray, travelled: FloatArray) -> FloatArray:
-    return _to_stop(approach.stop_m - travelled, speed, SLOWING_MPS2)
+    return np.maximum(_towards(allowed, speed, acceleration), -SLOWING_MPS2)
 
 
 def _by_areas(
-    approach: Approach, speed: FloatArray, travelled: FloatArray, now_s: float
+    approach: Approach,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    travelled: FloatArray,
+    now_s: float,
 ) -> FloatArray:
     left_s = approach.open_s - now_s
     room = approach.area_m - travelled[:, None]
-    own = speed[:, None]
+    own, pull = speed[:, None], acceleration[:, None]
     late_s = np.maximum(left_s, EASE_S)
     even = 2.0 * (room - own * late_s) / late_s**2
-    stopping = _to_stop(room, own, COMFORT_BRAKING_MPS2)
+    # What the last centimetres would take is not worth more than comfort.
+    even = np.where(left_s > SURE_S, even, np.maximum(even, -AREA.braking_mps2))
+    stopping = _keep_out(room, own, pull, AREA)
     # Standing still before it opens is to stop, not to arrive.
     wanted = np.where(own + even * late_s < 0.0, stopping, even)
     wanted = np.where(left_s > SURE_S, np.minimum(wanted, stopping), wanted)
@@ -189,17 +201,29 @@ def _by_areas(
     return np.asarray(wanted.min(axis=1, initial=np.inf))
 
 
-def _to_stop(room_m: FloatArray, speed: FloatArray, braking_mps2: float) -> FloatArray:
-    """Acceleration to stop within `room_m`: free from afar, then braking as hard as given.
+def _keep_out(
+    room_m: FloatArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    rule: Rule,
+    leader_mps: FloatArray | float = 0.0,
+) -> FloatArray:
+    """Acceleration that keeps a vehicle able to stop `short_m` before the end of its room, which
+    may move on: v t + v^2 / 2b = d + u^2 / 2b (Gipps 1981, eq. 4, with equal braking b).
 
-    As in the intelligent driver model (Treiber et al. 2000), braking rises with a power of what is
-    needed, v^2 / 2d, and above what is given goes beyond it, so that the need falls again.
+    It brakes harder than planned only for the room itself.
     """
-    room = np.maximum(room_m - SHORT_M - 0.3 * speed, 0.05)
-    share = speed**2 / (2.0 * room * braking_mps2)
-    early = COMFORT_ACCELERATION_MPS2 - (COMFORT_ACCELERATION_MPS2 + braking_mps2) * share**4
-    # Comfort is left for the place itself, not for stopping short of it.
-    needed = speed**2 / (2.0 * np.maximum(room_m - 0.1, 0.05))
-    late = -np.minimum(braking_mps2 * share**2, np.maximum(COMFORT_BRAKING_MPS2, 1.2 * needed))
-    wanted = np.where(share <= 1.0, early, late)
-    return np.where(room_m <= SHORT_M, np.minimum(wanted, -speed / EASE_S), wanted)
+    slack = rule.braking_mps2 * rule.time_s
+    square = slack**2 + 2.0 * rule.braking_mps2 * (room_m - rule.short_m) + np.square(leader_mps)
+    safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - slack, 0.0)
+    needed = np.maximum(speed**2 - np.square(leader_mps), 0.0)
+    needed = needed / (2.0 * np.maximum(room_m - 0.4 * rule.short_m, 0.25))
+    wanted = np.maximum(
+        _towards(safe, speed, acceleration), -np.maximum(rule.braking_mps2, 1.2 * needed)
+    )
+    return np.where(needed > 0.8 * rule.braking_mps2, np.minimum(wanted, -needed), wanted)
+
+
+def _towards(wanted_mps: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Acceleration to a speed; what the present one still does until it has changed is counted."""
+    return np.asarray((wanted_mps - speed - LAG_S * acceleration) / EASE_S)

@@ -13,7 +13,14 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead, pass_margin_s
-from hatn_sim.assist.profile import COMFORT_BRAKING_MPS2, SHORT_M, Profiles, drive
+from hatn_sim.assist.profile import (
+    COMFORT_BRAKING_MPS2,
+    KNOT_S,
+    KNOTS,
+    SHORT_M,
+    Profiles,
+    drive,
+)
 from hatn_sim.assist.words import words
 from hatn_sim.datatypes import (
     BoolArray,
@@ -40,6 +47,7 @@ WAIT_KNOT: Final = 2
 """Who can still stop in comfort after so many knots of a pass may go by what is predicted."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
+HORIZON_S: Final = KNOTS * KNOT_S
 OUT_M: Final = 0.25
 """A yield works if the ego gets no farther than this into an area before it opens."""
 AT_LINE_M: Final = 3.0
@@ -85,7 +93,8 @@ def suggest(
     before = [state.told.get(name) for name in names]
     outlook = look_ahead(scene, prediction)
     likely = _likely(scene, graphs, chances, row, before)
-    options = _options(outlook, row, likely.slot, np.array([name in stopped for name in names]))
+    has_stopped = np.array([name in stopped for name in names])
+    options = _options(outlook, row, likely.first, has_stopped)
     chosen = _choose(outlook, row, likely, options, before)
     out = _suggestions(outlook, row, likely, options, chosen)
     told = {
@@ -102,15 +111,28 @@ def slot_profiles(
     outlook: Outlook,
     row: IntArray,
     slot: IntArray,
+    chances: FloatArray,
     start_s: float = 0.0,
 ) -> Profiles:
     """How egos of graphs [R] take slots [R], advised or not, from `start_s` on.
 
-    `state` is what `suggest` gave for the moment; the speeds of a plan are `tick_speed_mps()`.
+    `state` is what `suggest` gave for the moment, `chances` are the slot probabilities [E, M]. The
+    speeds of a plan are `tick_speed_mps()`.
     """
     names = [outlook.scene.ids[v] for v in outlook.graphs.ego[row].tolist()]
     has_stopped = np.array([name in state.stopped for name in names], dtype=np.bool_)
-    return drive(approaches(outlook, row, slot, has_stopped, start_s)[0])
+    first = first_of_others(outlook.graphs.focus_mask[row], chances[row])
+    return drive(approaches(outlook, row, slot, first, has_stopped, start_s)[0])
+
+
+def first_of_others(focus_mask: BoolArray, chances: FloatArray) -> IntArray:
+    """The node [R] of whoever is most probably the first of the others at the focus.
+
+    The chance to pass before j is that of the ego being first and j the first of the others.
+    """
+    others = np.where(focus_mask, chances, -1.0)
+    others[:, 0] = -1.0
+    return others.argmax(axis=1)
 
 
 def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs) -> frozenset[str]:
@@ -129,6 +151,7 @@ class _Likely:
     """The slot that each ego [R] is to take if nothing speaks against it."""
 
     chance: FloatArray  # [R, M], -1 where there is no slot
+    first: IntArray  # [R] the node of whoever is most probably the first of the others
     told: IntArray  # [R] the slot told before, -1: none, or it is gone
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
@@ -153,10 +176,11 @@ def _likely(
         for told in before
     ]
     same = graphs.focus_mask[row] & (graphs.rear[row] == np.array(rear)[:, None])
+    first = first_of_others(graphs.focus_mask[row], chances[row])
     told = np.where(same.any(axis=1), same.argmax(axis=1), -1)
     stands = (told >= 0) & (_margin(chance, np.maximum(told, 0)) > SILENT_MARGIN)
     slot = np.where(stands, told, chance.argmax(axis=1))
-    return _Likely(chance, told, slot, stands | (_margin(chance, slot) >= SPEAK_MARGIN))
+    return _Likely(chance, first, told, slot, stands | (_margin(chance, slot) >= SPEAK_MARGIN))
 
 
 def _margin(chance: FloatArray, slot: IntArray) -> FloatArray:
@@ -180,12 +204,13 @@ class _Options:
     likely_margin_s: FloatArray  # [R] of the pass, at the predicted one
 
 
-def _options(outlook: Outlook, row: IntArray, slot: IntArray, stopped: BoolArray) -> _Options:
+def _options(outlook: Outlook, row: IntArray, first: IntArray, stopped: BoolArray) -> _Options:
     count = len(row)
     both = np.concatenate((row, row))
     # Whoever it is passed before, the ego drives as fast as it may.
-    first = np.concatenate((np.zeros(count, dtype=np.int64), np.ones(count, dtype=np.int64)))
-    approach, open_s = approaches(outlook, both, first, np.concatenate((stopped, stopped)))
+    slot = np.concatenate((np.zeros(count, dtype=np.int64), first))
+    firsts, stops = np.concatenate((first, first)), np.concatenate((stopped, stopped))
+    approach, open_s = approaches(outlook, both, slot, firsts, stops)
     driven = drive(approach)
     half = (slice(None, count), slice(count, None))
     yields, passes = (
@@ -200,16 +225,16 @@ def _options(outlook: Outlook, row: IntArray, slot: IntArray, stopped: BoolArray
     group = outlook.graphs.focus_mask[row].copy()
     group[:, 0] = False
     area_m, opens = approach.area_m[:count], approach.open_s[:count]
-    enters_s = yields.arrival_s(
-        np.where(np.isfinite(area_m), np.maximum(area_m, 0.0) + OUT_M, np.inf)
-    )
+    # At the focus: what is further on can be seen to when this is behind.
+    ahead = group & np.isfinite(area_m)
+    enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + OUT_M, np.inf))
     return _Options(
         yields=yields,
         passes=passes,
         open_s=open_s[:count],
         can_wait=_can_wait(passes, np.where(group, outlook.room_m[row], np.inf).min(axis=1)),
-        let_go=(group & np.isfinite(area_m)).sum(axis=1),
-        stays_out=np.asarray((enters_s >= opens - 0.1).all(axis=1)),
+        let_go=ahead.sum(axis=1),
+        stays_out=np.asarray((enters_s >= np.minimum(opens, HORIZON_S) - 0.1).all(axis=1)),
         margin_s=pass_margin_s(outlook, row, passes, outlook.soonest_s),
         likely_margin_s=pass_margin_s(outlook, row, passes, outlook.enter_s),
     )
@@ -248,10 +273,8 @@ def _choose(
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
     open_to_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
     wants_pass = likely.slot > 0
-    passes = np.where(wants_pass, open_to_pass, ~gentle & safe)
-    best = likely.chance.copy()
-    best[:, 0] = -1.0
-    slot = np.where(passes, np.where(wants_pass, likely.slot, best.argmax(axis=1)), 0)
+    passes = np.where(wants_pass, open_to_pass, ~options.stays_out)
+    slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
     doubted = np.where((told >= 0) & (slot != told), doubted + 1, 0)
     holds = (doubted > 0) & (doubted < DOUBT_FRAMES)
@@ -269,12 +292,8 @@ def _suggestions(
     outlook: Outlook, row: IntArray, likely: _Likely, options: _Options, chosen: _Chosen
 ) -> tuple[Suggestion, ...]:
     graphs, scene = outlook.graphs, outlook.scene
-    others = graphs.focus_mask[row].copy()
-    others[:, 0] = False
-    # On yield: the one that is predicted to come first is let go.
-    soonest = np.where(others, outlook.enter_s[row], np.inf).argmin(axis=1)
     rows, goes = np.arange(len(row)), chosen.slot > 0
-    node = np.where(goes, chosen.slot, soonest)
+    node = np.where(goes, chosen.slot, likely.first)
     room = outlook.room_m[row, node][:, None]
     profile = np.where(
         goes[:, None], options.passes.tick_speed_mps(), options.yields.tick_speed_mps()

@@ -92,6 +92,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="thresholds of assistance, as --calibrate writes them (default: those that ship)",
     )
     parser.add_argument(
+        "--counterfactuals",
+        type=share,
+        default=0.0,
+        metavar="RATE",
+        help="share of alerts and suggestions that are judged by branches of the simulation, from "
+        "0 (default) to 1",
+    )
+    parser.add_argument(
         "--calibrate", action="store_true", help="seek the threshold of HATN's alerts"
     )
     parser.add_argument(
@@ -115,6 +123,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notices")
+
+
+def share(text: str) -> float:
+    """A share, 0 to 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"expected a share from 0 to 1, found {text!r}")
+    return value
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -195,6 +214,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                 weights=arguments.weights,
                 rules=rules,
                 settings=settings,
+                counterfactuals=arguments.counterfactuals,
                 made_with={
                     "scene": scenario.name,
                     "density": scenario.density,
@@ -204,6 +224,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                     "duration_s": arguments.duration,
                     "rules": list(rules),
                     "settings": asdict(settings),
+                    "counterfactuals": arguments.counterfactuals,
                     "weights": _sha256(arguments.weights),
                     "versions": installed(),
                 },

@@ -197,8 +197,8 @@ def _fitted_choice(
     arguments: argparse.Namespace, scenario: Scenario, predictors: Sequence[Predictor]
 ) -> OthersChoice | None:
     """The choice of lines of --choice-from; None: each predictor has its own."""
-    from hatn_sim.commands.evaluate_predictors import cores
     from hatn_sim.commands.line_choices import choices_for
+    from hatn_sim.evaluation.pool import cores
 
     scenes, asked = {scenario.name: scenario}, arguments.choice_from
     found = choices_for(scenes, predictors, asked, None, cores(), arguments.quiet)
@@ -349,9 +349,10 @@ def _write_replay(
         return []
     from hatn_sim.report.replay_table import replay_scores
     from hatn_sim.report.table import scores_json
+    from hatn_sim.whole_file import save_whole
 
     scores = replay_scores(str(logged.header["scene"]), *replay)
-    (out / REPLAY_FILE).write_text(scores_json(scores) + "\n", encoding="utf-8")
+    save_whole(out / REPLAY_FILE, scores_json(scores) + "\n")
     return scores
 
 

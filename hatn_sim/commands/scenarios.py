@@ -53,7 +53,7 @@ RISK_TITLES: Final = {
 SUITE_TITLES: Final = {
     "vehicle_hours": "vehicle-hours",
     "encounters_per_run": "encounters a run",
-    "event_share": "share with an event",
+    "event_percent": "with an event, %",
     "collisions_per_run": "collisions a run",
     "hard_brakings_per_run": "hard brakings a run",
     "unscripted_per_run": "of both, unscripted",

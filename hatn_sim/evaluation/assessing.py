@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.baselines import RULES
 from hatn_sim.assist.moment import Moment, Recent
 from hatn_sim.assist.settings import AssistSettings
@@ -27,9 +28,11 @@ from hatn_sim.perception import PerceptionState
 from hatn_sim.score.advised import AdviceRecorder
 from hatn_sim.score.assessed import AssessedRun, read_assessed, write_assessed
 from hatn_sim.score.close_passes import close_passes
+from hatn_sim.score.counterfactual import CounterfactualSettings
 from hatn_sim.score.dangers import DangerRecorder
 from hatn_sim.score.driven import DrivenRecorder
 from hatn_sim.score.events import severe_events, vehicle_hours
+from hatn_sim.score.what_if import Line, WhatIf
 from hatn_sim.traffic import open_traffic
 
 RUN_IN_S: Final = 3.0
@@ -53,6 +56,7 @@ class AssessPlan:
     weights: Path | None
     rules: tuple[str, ...]  # of `assist.baselines.RULES`
     settings: AssistSettings
+    counterfactuals: float  # rate at which advice is judged by branches; 0: none is
     made_with: Mapping[str, Any]  # what another run in its place is held against
 
     @property
@@ -106,6 +110,7 @@ def assess(plan: AssessPlan, teller: Teller) -> tuple[AssessedRun, int]:
             if frame.done or done == plan.frames:
                 break
             frame = simulator.step()
+        looking.finish()
         notices = tuple(simulator.notices)
     return looking.assessed(notices), done
 
@@ -120,7 +125,16 @@ class _Looking:
         self._memory: PerceptionState = predictor.init(simulator.road)
         self._told = SuggestionState()
         self._recent = Recent()
+        self._alerts = AlertState()
         self._dangers = {name: DangerRecorder() for name in plan.rules}
+        self._what_if: WhatIf | None = None
+        self._notices: tuple[str, ...] = ()
+        if plan.counterfactuals and simulator.cannot_branch is not None:
+            self._notices = (f"without counterfactuals: {simulator.cannot_branch}",)
+        elif plan.counterfactuals:
+            costs = CounterfactualSettings()
+            self._what_if = WhatIf(simulator, plan.counterfactuals, plan.seed, costs)
+        self._lines: list[Line] = []
         low_s = start_s + RUN_IN_S
         self._window_s = (low_s, low_s + plan.duration_s)
         self._advice = AdviceRecorder(*self._window_s)
@@ -146,6 +160,18 @@ class _Looking:
         moment = Moment(self._road, seen, prediction, earlier, settings)
         for name, recorder in self._dangers.items():
             recorder.add(scene.time_s, scene.ids, RULES[name](moment))
+        if self._what_if is not None:
+            found = RULES["hatn"](moment)
+            self._alerts, alerts = alert(self._alerts, scene, found, settings, None)
+            told = Advice(prediction, suggestions, alerts)
+            # Advice is judged in the window only; the whole of a branch lies in the run.
+            if scene.time_s >= self._window_s[0]:
+                self._lines += self._what_if.see(index, frame, told)
+
+    def finish(self) -> None:
+        """Nothing more will come."""
+        if self._what_if is not None:
+            self._lines += self._what_if.finish()
 
     def assessed(self, notices: tuple[str, ...]) -> AssessedRun:
         """What is kept."""
@@ -159,6 +185,7 @@ class _Looking:
             events=(*severe_events(driven), *close_passes(driven)),
             traces={name: recorder.trace() for name, recorder in self._dangers.items()},
             advised=self._advice.advised(driven),
+            counterfactuals=tuple(self._lines),
             made_with=plan.made_with,
-            notices=notices,
+            notices=(*notices, *self._notices),
         )

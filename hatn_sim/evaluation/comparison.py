@@ -13,7 +13,14 @@ import numpy as np
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import Score
 from hatn_sim.score.assessed import AssessedRun
-from hatn_sim.score.assistance import ORACLE, alert_scores, rare_s, suggestion_scores, warned
+from hatn_sim.score.assistance import (
+    ORACLE,
+    alert_scores,
+    counterfactual_scores,
+    rare_s,
+    suggestion_scores,
+    warned,
+)
 from hatn_sim.score.sweep import Operating, best_within, operating, sweep, thresholds_of
 
 OURS: Final = "hatn"
@@ -69,6 +76,7 @@ def compare_rules(
                 found = warned(chosen, rule, threshold, rare, settings)
                 scores += alert_scores(found, rule, scene, risk)
             scores += suggestion_scores(chosen, OURS, scene, risk)
+            scores += counterfactual_scores(chosen, OURS, scene, risk)
     return scores
 
 

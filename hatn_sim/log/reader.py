@@ -317,6 +317,7 @@ def _read_text(path: Path) -> str:
 def _read_as(kind: type, line: Mapping[str, Any]) -> Any:
     """A line of JSON as a flat dataclass; null in a field of floats stands for "not finite"."""
     values = {field.name: line[field.name] for field in fields(kind)}
+    values |= {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     for field in fields(kind):
         if field.type in ("float", float) and values[field.name] is None:
             values[field.name] = math.nan

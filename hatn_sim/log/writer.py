@@ -17,6 +17,7 @@ from hatn_sim.datatypes import Advice, Frame, Route, Truth
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.log import rows, schema
 from hatn_sim.log.parts import PartBuffer
+from hatn_sim.whole_file import write_whole
 
 RESERVED_KEYS = ("schema_version", "finished", "frames", "predictors")
 
@@ -186,9 +187,8 @@ class RunWriter:
         self._write_whole(schema.RUN_FILE, json.dumps(content, indent=2))
 
     def _write_whole(self, name: str, text: str) -> None:
-        unfinished = self._out / f"{name}.tmp"
-        unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
-        unfinished.replace(self._out / name)
+        data = f"{text}\n".encode()
+        write_whole(self._out / name, lambda file: file.write_bytes(data))
 
     def _open_lines(self, name: str) -> IO[str]:
         return (self._out / name).open("w", encoding="utf-8", newline="\n")

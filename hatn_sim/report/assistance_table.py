@@ -28,6 +28,14 @@ SUGGESTIONS: Final = {
     "suggestion_switches": "switches",
     "suggestion_abstained": "abstained",
 }
+WHAT_IF: Final = {
+    "useful_share": "useful",
+    "harmful_share": "harmful",
+    "unneeded_share": "unneeded",
+    "regret": "regret",
+    "always_yield_regret": "always yield",
+    "driver_regret": "driver",
+}
 NONE: Final = "-"
 
 
@@ -44,10 +52,16 @@ def assistance_table(scores: Sequence[Score]) -> Group:
         advised = [rule for rule in rules if (scene, risk, rule, "suggestion_ece") in by_key]
         title = f"{scene}, {risk} drivers: suggestions"
         parts += [_table(title, "of", advised, SUGGESTIONS, by_key, scene, risk), Text()]
+        judged = [rule for rule in rules if (scene, risk, rule, "regret") in by_key]
+        if judged:
+            title = f"{scene}, {risk} drivers: what obeying would have changed"
+            parts += [_table(title, "of", judged, WHAT_IF, by_key, scene, risk), Text()]
     note = (
-        "[low high] 95 % interval, bootstrapped over runs; the other rules are at no more false "
-        "alarms than hatn; near: alerts that meet a close encounter or a brief braking only"
+        "[low high] 95 % interval, bootstrapped over runs; near: alerts that meet a close "
+        "encounter or a brief braking only"
     )
+    if any(score.predictor == "oracle" for score in scores):
+        note += "; rules beside hatn: at no more false alarms than it"
     return Group(*parts, Text(note, style="dim"))
 
 

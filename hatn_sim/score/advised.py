@@ -2,8 +2,8 @@
 
 | number | what it is |
 |---|---|
-| encounter | a stretch of suggestions for one ego, pauses under 1 s closed |
-| switch | within an encounter, advice to yield follows advice to pass or the other way round, or to pass before another vehicle; abstentions between are passed over, and who is to be let go first may change |
+| encounter | a stretch in which the advice for an ego names a vehicle to pass before or to let go first, pauses under 1 s closed |
+| switch | within an encounter, the advice is to pass before the vehicle and then to let it go, or the other way round; abstentions between are passed over |
 | crossing | a stretch in which a vehicle's own graph has an active conflict, pauses under 1 s closed |
 | agreement | the slot advised is the slot really taken (`labels.slot_label`), of suggestions that do not abstain and whose slot taken is known; sampled every 0.5 s |
 """  # noqa: E501 - rows of a table
@@ -41,7 +41,7 @@ class Advised:
 @dataclass
 class _Encounter:
     last_s: float
-    spoken: tuple[str, str | None] | None = None
+    spoken: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class AdviceRecorder:
     def __init__(self, from_s: float = -np.inf, to_s: float = np.inf) -> None:
         self._from_s, self._to_s = from_s, to_s
         self._index: dict[str, int] = {}
-        self._encounters: dict[str, _Encounter] = {}
+        self._encounters: dict[tuple[str, str | None], _Encounter] = {}
         self._conflict_s: dict[str, float] = {}
         self._samples: list[_Sample] = []
         self._counts = {"encounters": 0, "switches": 0, "crossings": 0}
@@ -86,16 +86,15 @@ class AdviceRecorder:
             self._samples.append(self._sample(frame, advice))
 
     def _hear(self, one: Suggestion, time_s: float, is_told: bool) -> None:
-        met = self._encounters.get(one.ego_id)
-        if met is None or time_s - met.last_s > PAUSE_S + ROUNDING_S:
-            met = self._encounters[one.ego_id] = _Encounter(time_s)
-            self._counts["encounters"] += is_told
-        met.last_s = time_s
         if one.action == ABSTAIN:
             return
-        spoken = (one.action, one.slot_id if one.action == "pass" else None)
-        self._counts["switches"] += is_told and met.spoken not in (None, spoken)
-        met.spoken = spoken
+        met = self._encounters.get((one.ego_id, one.slot_id))
+        if met is None or time_s - met.last_s > PAUSE_S + ROUNDING_S:
+            met = _Encounter(time_s, one.action)
+            self._encounters[one.ego_id, one.slot_id] = met
+            self._counts["encounters"] += is_told
+        self._counts["switches"] += is_told and met.spoken != one.action
+        met.last_s, met.spoken = time_s, one.action
 
     def _sample(self, frame: int, advice: Advice) -> _Sample:
         graphs = advice.prediction.graphs

@@ -19,6 +19,12 @@
 | `suggestion_brier`, `_ece` | 1, share | of the probability of the slot advised; 15 bins |
 | `suggestion_switches` | 1 | per encounter |
 | `suggestion_abstained` | share | of the sampled suggestions |
+| `useful_share` | share | of judged alerts that an event would follow: obeying removes it |
+| `harmful_share`, `unneeded_share` | share | of judged alerts |
+| `regret` | 1 | mean cost of the slot advised over that of the best, of judged suggestions |
+| `always_yield_regret`, `driver_regret` | 1 | the same of yielding, and of what the driver did |
+| `regret_where_different`, `driver_regret_where_different` | 1 | where the driver did otherwise |
+| `lost_branches` | share | of what was to be judged: a branch died |
 
 `subset` is the risk profile, "all" where several are pooled. A measure of which there is nothing
 has no value and n = 0: without events there is no recall, be it 0 or 1. Of rates, n is the number
@@ -28,11 +34,11 @@ count), since a bootstrap of nothing is nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -49,6 +55,9 @@ NEAR_S: Final = {"recall_t3_1s5": 1.5, "recall_t3_1s0": 1.0}
 RARE: Final = "recall_t3_rare"
 RARE_SHARE: Final = 0.01
 QUARTILES: Final = {"lead_time_s": 0.5, "lead_time_s_q1": 0.25, "lead_time_s_q3": 0.75}
+ALERT, SUGGESTION, ANY = "alert", "suggestion", "any"
+"""What a line of counterfactuals is about."""
+Line = Mapping[str, Any]
 ORACLE: Final = "oracle"
 ORACLE_LEAD_S: Final = 5.0
 ECE_BINS: Final = 15
@@ -127,9 +136,18 @@ def warned(
     settings: AssistSettings | None = None,
 ) -> Warned:
     """What the rule's alerts come to at a threshold; `rare` is as `rare_s` says."""
+    alerts = [_alerts(run, rule, threshold, settings) for run in runs]
+    return warned_by(runs, alerts, rare)
+
+
+def warned_by(
+    runs: Sequence[AssessedRun],
+    alerts: Sequence[Sequence[AlertInterval]],
+    rare: Mapping[str, float] = MappingProxyType({}),
+) -> Warned:
+    """What the alerts of each run come to."""
     found = [
-        _count(run, _alerts(run, rule, threshold, settings), rare.get(run.scene, 0.0))
-        for run in runs
+        _count(run, own, rare.get(run.scene, 0.0)) for run, own in zip(runs, alerts, strict=True)
     ]
     leads = [leads for _, leads in found]
     return Warned(
@@ -275,3 +293,55 @@ def suggestion_scores(runs: Sequence[AssessedRun], name: str, scene: str, risk: 
         value = float(statistic(sums.sum(axis=0))) if n else None
         scores.append(Score(measure, name, scene, risk, "none", value, unit, n, low, high))
     return scores
+
+
+def counterfactual_scores(
+    runs: Sequence[AssessedRun], name: str, scene: str, risk: str
+) -> list[Score]:
+    """What branches of the runs said of alerts and suggestions; nothing where none was asked."""
+    if not any(run.counterfactuals for run in runs):
+        return []
+
+    def mean(measure: str, unit: str, about: str, of: Callable[[Line], float | None]) -> Score:
+        sums = np.zeros((len(runs), 2))
+        for row, run in zip(sums, runs, strict=True):
+            lines = (line for line in run.counterfactuals if about in (ANY, line["about"]))
+            values = [value for line in lines if (value := of(line)) is not None]
+            row[:] = sum(values), len(values)
+        n = int(sums[:, 1].sum())
+        if not n:
+            return Score(measure, name, scene, risk, "none", None, unit, 0, None, None)
+        low, high = intervals.interval(sums, intervals.ratio) or (None, None)
+        value = float(intervals.ratio(sums.sum(axis=0)))
+        return Score(measure, name, scene, risk, "none", value, unit, n, low, high)
+
+    def verdict(wanted: str, on_events: bool = False) -> Callable[[Line], float | None]:
+        def of(line: Line) -> float | None:
+            if line["lost"] or (on_events and not line["ignored"]):
+                return None
+            return float(line["verdict"] == wanted)
+
+        return of
+
+    def cost(key: str, where_different: bool = False) -> Callable[[Line], float | None]:
+        def of(line: Line) -> float | None:
+            if line["lost"]:
+                return None
+            driver = line["driver_slot_id"]
+            if where_different and (driver is None or driver == line["slot_id"]):
+                return None
+            return float(line[key])
+
+        return of
+
+    return [
+        mean("useful_share", "share", ALERT, verdict("useful", on_events=True)),
+        mean("harmful_share", "share", ALERT, verdict("harmful")),
+        mean("unneeded_share", "share", ALERT, verdict("unneeded")),
+        mean("regret", "1", SUGGESTION, cost("regret")),
+        mean("always_yield_regret", "1", SUGGESTION, cost("always_yield_regret")),
+        mean("driver_regret", "1", SUGGESTION, cost("driver_regret")),
+        mean("regret_where_different", "1", SUGGESTION, cost("regret", True)),
+        mean("driver_regret_where_different", "1", SUGGESTION, cost("driver_regret", True)),
+        mean("lost_branches", "share", ANY, lambda line: float(line["lost"])),
+    ]

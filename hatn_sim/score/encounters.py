@@ -85,7 +85,7 @@ def encounter_figures(count: EncounterCount) -> dict[str, float | None]:
     return {
         "vehicle_hours": count.vehicle_hours,
         "encounters_per_run": per_run(count.encounters),
-        "event_share": count.with_event / count.encounters if count.encounters else None,
+        "event_percent": 100.0 * count.with_event / count.encounters if count.encounters else None,
         "collisions_per_run": per_run(count.collisions),
         "hard_brakings_per_run": per_run(count.hard_brakings),
         "unscripted_per_run": per_run(count.unscripted),

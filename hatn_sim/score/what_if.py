@@ -65,9 +65,9 @@ class _Asked:
 class WhatIf:
     """Judges a sample of the alerts and suggestions of a run.
 
-    Alerts are asked about at their onset, suggestions when another slot is advised than before, never
-    those that abstain. A warned ego obeys by the profile of the slot it is advised, or of yielding where
-    it is advised none.
+    Alerts are asked about at their onset, suggestions when another slot is advised than before,
+    never those that abstain. A warned ego obeys by the profile of the slot it is advised, or of
+    yielding where it is advised none.
     """
 
     def __init__(
@@ -159,10 +159,11 @@ class WhatIf:
     def _plans(self, frame: Frame, advice: Advice, pairs: list[tuple[int, int]]) -> list[Plan]:
         """For pairs of a graph and one of its slots."""
         graphs, settings = advice.prediction.graphs, self._settings
-        assert graphs is not None
+        chances = advice.prediction.slot_probability
+        assert graphs is not None and chances is not None
         row, slot = np.array(pairs, np.int64).T
         outlook = look_ahead(frame.scene, advice.prediction)
-        profiles = slot_profiles(self._advised, outlook, row, slot, settings.reaction_s)
+        profiles = slot_profiles(self._advised, outlook, row, slot, chances, settings.reaction_s)
         return [
             Plan(graphs.ids[graphs.ego[e]], settings.reaction_s, speed_mps, settings.blend_s)
             for e, speed_mps in zip(row.tolist(), profiles.tick_speed_mps(), strict=True)
