@@ -20,6 +20,7 @@ from hatn_sim.datatypes import FloatArray
 from hatn_sim.errors import InputError
 from hatn_sim.line_features import FEATURES, HAND_MADE
 from hatn_sim.resources import weights_dir
+from hatn_sim.whole_file import save_whole
 
 FORMAT: Final = 1
 SHIPPED: Final = "line_choice.json"
@@ -99,10 +100,10 @@ HAND_MADE_CHOICE: Final = _by_hand()
 
 
 def save_line_choice(path: Path, choice: LineChoice, card: Mapping[str, Any]) -> None:
-    """Write a choice with a card that says how it was made."""
+    """Write a choice with a card that says how it was made. Raises as `save_whole`."""
     weights = {name: np.round(one, DIGITS).tolist() for name, one in choice.to_arrays().items()}
     content = {"format": FORMAT, "features": list(FEATURES), "card": dict(card), "weights": weights}
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    save_whole(path, json.dumps(content, indent=1) + "\n")
 
 
 def load_line_choice(path: Path) -> LineChoice:

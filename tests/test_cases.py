@@ -133,7 +133,8 @@ def crossings(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 @pytest.fixture(scope="module")
 def cases(crossings: Run) -> dict[str, Case]:
-    return find_cases([crossings], tuple(KINDS))
+    """Each kind sought for itself: together, the last two must differ."""
+    return {name: find_cases([crossings], (name,))[name] for name in KINDS}
 
 
 def named(run: Run, vehicles: tuple[int, ...]) -> list[str]:
@@ -188,6 +189,21 @@ def test_a_change_of_plan_is_found_where_the_networks_did_not_learn(
     # Of equally telling ones the first is taken.
     found = find_cases([learnt, other, crossings], ("transfer", "interaction"))
     assert found["transfer"].run is other and found["interaction"].run is learnt
+
+
+def test_a_sequence_and_a_transfer_are_never_the_same_moment(
+    crossings: Run, cases: dict[str, Case], tmp_path: Path
+) -> None:
+    """One ego has all there is to tell; in a second run its like has it as well."""
+    assert cases["sequence"].ego == cases["transfer"].ego
+    found = find_cases([crossings], tuple(KINDS))
+    assert list(found) == ["interaction", "transfer"]
+    other = write_run(tmp_path / "other")
+    found = find_cases([crossings, other], tuple(KINDS))
+    assert list(found) == list(KINDS)
+    assert {found[name].run.path for name in ("sequence", "transfer")} == {
+        crossings.path, other.path
+    }  # fmt: skip
 
 
 def test_a_run_says_what_its_weights_learnt_from() -> None:

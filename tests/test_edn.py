@@ -360,6 +360,21 @@ def test_who_heads_aslant_drives_the_same_way_in_the_map() -> None:
         )
 
 
+def test_speeds_along_and_across_the_line_turn_with_the_heading_by_hand() -> None:
+    """At 5 m/s with a heading of (4, 3) / 5, turned by as much again, and back to the line."""
+    batch = random_batch(2)
+    heading = math.atan2(3.0, 4.0)
+    batch.history[..., 2], batch.history[..., 3], batch.history[..., 4] = 4.0, 3.0, heading
+    turned, _ = turn_vehicles(batch, torch.zeros(2, 30, 2), torch.tensor([heading, -heading]))
+    along, across, phi = turned.history[..., 2:5].unbind(-1)
+    for row, by_hand in enumerate(((1.4, 4.8), (5.0, 0.0))):
+        torch.testing.assert_close(along[row], torch.full_like(along[row], by_hand[0]))
+        torch.testing.assert_close(across[row], torch.full_like(across[row], by_hand[1]))
+    # Perception takes them from the heading: v cos phi and v sin phi.
+    torch.testing.assert_close(along, 5.0 * phi.cos())
+    torch.testing.assert_close(across, 5.0 * phi.sin(), atol=1e-6, rtol=1e-5)
+
+
 def test_who_keeps_beside_the_line_is_read_beside_it_alone() -> None:
     batch, _ = on_a_circle(20.0, 6.0)
     beside = shift_vehicles(batch, torch.tensor([0.7]))

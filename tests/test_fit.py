@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import resource
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from test_whole_file import little_room
 from torch import Tensor, nn
 
 from hatn_sim.datatypes import IntArray
@@ -145,17 +144,6 @@ def test_it_ends_early_where_nothing_gets_better() -> None:
     settings = FitSettings(epochs=50, patience=3, batch=32, weight_decay=0.0)
     fitted(Workplace(watch=watch), settings, spoil=lambda _: 0.0)
     assert len(watch.lines) == 1 + 3
-
-
-@contextmanager
-def little_room(size_bytes: int) -> Iterator[None]:
-    """No file may grow beyond a size."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_full_disk_is_one_line_and_nothing_is_lost(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import itertools
 import logging
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,19 +15,23 @@ import numpy as np
 import pytest
 import shapely
 from conftest import scene_of
+from highway_env.envs.intersection_env import ConnectedLaneIntersectionEnv
+from highway_env.envs.roundabout_env import ConnectedLaneRoundaboutEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 from hatn_sim.config import HighwaySource, Scenario, load_scenario
-from hatn_sim.datatypes import Command, Frame, Gate, Kind, Lane
+from hatn_sim.datatypes import Command, ConflictType, Frame, Gate, Kind, Lane
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.geometry import wrap_angle
 from hatn_sim.score.fidelity import Closeness, measure_fidelity
 from hatn_sim.simulators.highway import HighwaySimulator
 from hatn_sim.simulators.highway_environment import known_environments
+from hatn_sim.simulators.highway_places import RegularRing, RegulatedJunction
 from hatn_sim.simulators.touching import touching_pairs
 from hatn_sim.traffic import open_traffic
 
-SCENES = ("highway_intersection", "highway_roundabout", "highway_merge")
+PLACES = ("learn_highway_crossing", "learn_highway_roundabout3", "learn_highway_tee")
+SCENES = ("highway_intersection", "highway_roundabout", "highway_merge", *PLACES)
 
 
 def scenario(environment: str, scale: float = 1.0, **settings: Any) -> Scenario:
@@ -285,11 +290,111 @@ def test_the_ramp_leads_onto_the_highway_and_conflicts_with_it() -> None:
     assert road.conflicts(ramp, left) == ()
 
 
+def lines_of(simulator: HighwaySimulator) -> list[Any]:
+    """The keys of all lines from where traffic comes in."""
+    return sorted(
+        {
+            key
+            for lane in starts(simulator.lanes)
+            for key in simulator.road.branches((lane.id,), Kind.CAR)
+        }
+    )
+
+
+def conflict_types(simulator: HighwaySimulator) -> Counter[ConflictType]:
+    road = simulator.road
+    pairs = itertools.combinations(lines_of(simulator), 2)
+    return Counter(found.type for a, b in pairs for found in road.conflicts(a, b))
+
+
+def test_a_t_junction_has_three_crossings_and_three_merges() -> None:
+    """As in any textbook of traffic."""
+    with HighwaySimulator(load_scenario("learn_highway_tee")) as simulator:
+        assert len(lines_of(simulator)) == 6
+        assert conflict_types(simulator) == {ConflictType.CROSS: 3, ConflictType.MERGE: 3}
+        gates = {lane.id: lane.gate for lane in starts(simulator.lanes)}
+        turns = {lane.id: lane.turn for lane in simulator.lanes if lane.turn}
+    assert gates == {
+        "o0_ir0_0": Gate.NONE,
+        "o1_ir1_0": Gate.NONE,
+        "o2_ir2_0": Gate.GIVE_WAY_LINE,
+    }
+    # The side road is in the south-east: who comes from the east turns left into it.
+    assert turns == {"ir0_il2_0": 1, "ir1_il2_0": -1, "ir2_il0_0": -1, "ir2_il1_0": 1}
+
+
+def test_two_roads_without_left_turns_cross_four_times() -> None:
+    with HighwaySimulator(load_scenario("learn_highway_crossing")) as simulator:
+        assert len(lines_of(simulator)) == 8
+        assert conflict_types(simulator) == {ConflictType.CROSS: 4, ConflictType.MERGE: 4}
+
+
+def test_the_ring_turned_and_scaled_is_that_of_highway_env() -> None:
+    """With its arms, radius and limits: every lane by its ends, headings and length."""
+    own: Any = ConnectedLaneRoundaboutEnv().unwrapped
+    ours: Any = RegularRing(config={"bearings_deg": [90, 0, -90, 180], "access_m": 127.5})
+
+    def shapes(environment: Any) -> list[list[float]]:
+        return sorted(
+            np.round(
+                [
+                    *lane.position(0.0, 0.0),
+                    *lane.position(lane.length, 0.0),
+                    *np.sin([lane.heading_at(0.0), lane.heading_at(lane.length)]),
+                    lane.length,
+                    lane.speed_limit,
+                ],
+                6,
+            ).tolist()
+            for lane in environment.road.network.lanes_dict().values()
+        )
+
+    assert np.allclose(shapes(ours), shapes(own), atol=1e-5)
+
+
+def test_a_junction_with_four_square_arms_is_that_of_highway_env() -> None:
+    """Its ways, and the priorities of those who come in; those who leave have the highest here."""
+    own: Any = ConnectedLaneIntersectionEnv().unwrapped
+    arm = {"length_m": 100.0, "speed_limit_mps": 10.0}
+    priorities = {90: 1, 180: 3, 270: 1, 0: 3}
+    arms = [arm | {"bearing_deg": float(b), "priority": p} for b, p in priorities.items()]
+    ours: Any = RegulatedJunction(config={"arms": arms, "inner_m": 11.0})
+    lanes, same = own.road.network.lanes_dict(), ours.road.network.lanes_dict()
+    assert set(lanes) == set(same)
+    for index, lane in lanes.items():
+        other = same[index]
+        for part in (0.0, 0.5, 1.0):
+            place = other.position(part * other.length, 0.0)
+            assert place == pytest.approx(lane.position(part * lane.length, 0.0), abs=1e-6)
+        assert other.speed_limit == lane.speed_limit
+        assert other.priority == (3 if index[0].startswith("il") else lane.priority)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_traffic_of_our_places_flows(name: str) -> None:
+    """Most of those who came in are through, from every arm, and hardly anybody is taken off."""
+    with HighwaySimulator(load_scenario(name, density="dense")) as simulator:
+        frames = record(simulator, 4, 90.0)
+        entered = {lane.id for lane in starts(simulator.lanes)}
+    came = [vehicle for frame in frames for vehicle in frame.truth.departed]
+    arrived = {vehicle for frame in frames for vehicle in frame.truth.arrived}
+    removed = [vehicle for frame in frames for vehicle in frame.truth.teleported]
+    first: dict[str, str] = {}
+    for frame in frames:
+        for vehicle, route in zip(frame.scene.ids, frame.truth.routes, strict=True):
+            first.setdefault(vehicle, (route or ("",))[0])
+    assert {first[vehicle] for vehicle in arrived} == entered
+    assert len(arrived) > 0.6 * len(came) and len(came) >= 8
+    assert len(removed) <= 2
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_vehicles_are_within_a_metre_of_their_lines(name: str) -> None:
-    with HighwaySimulator(load_scenario(name)) as simulator:
+    # Our places begin with one vehicle.
+    density, seconds = ("dense", 60) if name in PLACES else ("normal", 30)
+    with HighwaySimulator(load_scenario(name, density=density)) as simulator:
         simulator.reset(11)
-        rows = measure_fidelity((simulator.step() for _ in range(300)), simulator.road)
+        rows = measure_fidelity((simulator.step() for _ in range(10 * seconds)), simulator.road)
     keeping = {row.mode: row for row in rows if row.state == "keeping lane"}
     for row in keeping.values():
         assert isinstance(row, Closeness) and row.n > 500
@@ -367,6 +472,24 @@ def test_every_environment_with_roads_runs(environment: str) -> None:
     assert frames[-1].scene.ids
     for route in frames[-1].truth.routes:
         assert route is None or set(route) <= names
+
+
+@pytest.mark.parametrize(
+    ("environment", "settings", "expected"),
+    [
+        ("regular-ring-v0", {"bearings_deg": [0, 40]}, "more than 48 degrees apart"),
+        (
+            "regulated-junction-v0",
+            {"arms": [{"angle": 1.0}]},
+            "unexpected keyword argument 'angle'",
+        ),
+        ("regulated-junction-v0", {"arms": []}, "arms: expected two or more"),
+        ("regulated-junction-v0", {"ways": [[0, 7]]}, "ways: expected pairs of different arms"),
+        ("regulated-junction-v0", {"ways": [[1, 1]]}, "ways: expected pairs of different arms"),
+    ],
+)
+def test_places_that_cannot_be(environment: str, settings: dict[str, Any], expected: str) -> None:
+    assert expected in refused(environment, **settings)
 
 
 def refused(environment: str, **settings: Any) -> str:

@@ -12,7 +12,9 @@ import hatn_sim
 
 PACKAGE = Path(hatn_sim.__file__).parent
 
-HIGHWAY = tuple(f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_traffic"))
+HIGHWAY = tuple(
+    f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_places", "_traffic")
+)
 
 ONLY_IN = {
     "torch": ("hatn", "learn"),
@@ -31,7 +33,7 @@ ONLY_IN = {
 """Package -> the modules, or packages of modules, that may import it."""
 
 LAYERS = (
-    ("", "datatypes", "errors", "geometry", "plugins", "resources", "safe_xml"),
+    ("", "datatypes", "errors", "geometry", "plugins", "resources", "safe_xml", "whole_file"),
     ("config", "conflict_table", "conflicts", "lane_graph", "lane_index", "road", "simulators"),
     (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
@@ -39,7 +41,7 @@ LAYERS = (
     ),
     ("assist", "hatn", "predictors"),
     ("evaluation", "learn", "log", "loop", "recordings", "report", "score", "traffic"),
-    ("bench", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
+    ("bench", "bench_branch", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 

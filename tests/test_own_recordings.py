@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import crossing_lanes
+from safetensors.torch import save as tensor_bytes
 from test_track_lines import traffic as drivers
 from test_track_lines import write_recording
 
@@ -22,7 +23,7 @@ from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.predictor import Hatn
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
-from hatn_sim.hatn.weights_io import load_weights, save_weights
+from hatn_sim.hatn.weights_io import choice_tensors, load_weights, save_weights
 from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.fit import FitSettings
 from hatn_sim.learn.line_choice import choice_figures
@@ -31,7 +32,7 @@ from hatn_sim.learn.settings import FORMS, TrainingSettings
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
 from hatn_sim.learn.sources import played
 from hatn_sim.learn.split import Split, make_split, traffic_of_scenes, traffic_of_tracks
-from hatn_sim.learn.train import TrainingPlan, train
+from hatn_sim.learn.train import TrainingPlan, described, train
 from hatn_sim.learn.watch import Nobody
 from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
 from hatn_sim.log import Run, read_run
@@ -290,6 +291,26 @@ def test_a_training_on_recordings_keeps_its_choice(
 
 
 # -- adaptation ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("damage", ["lost", "torn", "other"])
+def test_a_training_whose_choice_is_lost_ends_in_one_line(
+    split: Split, damage: str, tmp_path: Path
+) -> None:
+    plan = TrainingPlan(split, {"hatn": FORMS["hatn"]}, workers=1)
+    folder = tmp_path / "x.progress"
+    folder.mkdir()
+    (folder / "plan.json").write_text(json.dumps({**described(plan), "line_choice": {"cases": 9}}))
+    path = folder / "line_choice.safetensors"
+    if damage != "lost":
+        data = tensor_bytes(choice_tensors(shipped_line_choice()))
+        other = tensor_bytes({"line_choice.linear": torch.zeros(3)})
+        path.write_bytes(data[:50] if damage == "torn" else other)
+    with pytest.raises(InputError) as refused:
+        train(plan, tmp_path / "x.safetensors")
+    said = str(refused.value)
+    assert said.startswith(f"{path}: not the choice of lines of this training (")
+    assert said.endswith("; remove the folder to begin anew") and "\n" not in said
 
 
 @pytest.mark.parametrize(

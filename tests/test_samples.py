@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_whole_file import little_room
 
 from hatn_sim import cli
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
@@ -200,17 +198,6 @@ def test_where_samples_are_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     assert default_folder() == tmp_path / "hatn_sim" / "samples"
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert default_folder() == Path.home() / ".cache" / "hatn_sim" / "samples"
-
-
-@contextmanager
-def little_room(size_bytes: int) -> Iterator[None]:
-    """No file may grow beyond a size."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_full_disk_costs_the_cache_only(tmp_path: Path, cut: Samples) -> None:

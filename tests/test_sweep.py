@@ -12,6 +12,7 @@ import pytest
 from hatn_sim import cli
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.learn import sweep as sweep_module
+from hatn_sim.learn import train as train_module
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.fit import FitSettings, LossError, Workplace
 from hatn_sim.learn.settings import (
@@ -21,10 +22,12 @@ from hatn_sim.learn.settings import (
     read_settings,
     settings_toml,
 )
+from hatn_sim.learn.site_lines import SiteChoice
 from hatn_sim.learn.split import make_split, traffic_of_scenes
 from hatn_sim.learn.sweep import Trial, best_trial, read_sweep, run_sweep, trials
 from hatn_sim.learn.train import TrainingPlan
 from hatn_sim.learn.watch import Nobody
+from hatn_sim.line_choice import HAND_MADE_CHOICE
 
 BASIS = FORMS["hatn"]
 GRID = """
@@ -210,3 +213,18 @@ def test_the_command_leaves_settings_that_train_takes(
     assert cli.main([*words, "--settings", str(settings), "--out", str(out)]) == 0
     card = json.loads((tmp_path / "w.json").read_text())
     assert card["sgn"]["width"] == best and card["fit"]["edn"]["epochs"] == 1
+
+
+def test_a_sweep_cuts_samples_with_the_choice_of_lines_that_a_training_fits(
+    tmp_path: Path, plan: TrainingPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Fitted(monkeypatch)
+    fitted, cut = SiteChoice(HAND_MADE_CHOICE, {}), list[TrainingPlan]()
+    monkeypatch.setattr(train_module, "fit_to_sites", lambda *_: fitted)
+    monkeypatch.setattr(sweep_module, "collect", lambda plan, _: cut.append(plan) or (None, None))
+    sweep = read_sweep(sweep_of(tmp_path, GRID), BASIS)
+    run_sweep(plan, sweep, BASIS, tmp_path / "w.sweep.jsonl", Nobody())
+    (used,) = cut
+    assert [one.choice for name in ("train", "tune") for one in used.split.part(name)] == [
+        HAND_MADE_CHOICE, HAND_MADE_CHOICE
+    ]  # fmt: skip

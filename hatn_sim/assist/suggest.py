@@ -84,7 +84,7 @@ def suggest(
     """Suggestions of this moment for `egos` (None: all) with at least two slots to choose from."""
     graphs, chances = prediction.graphs, prediction.slot_probability
     assert graphs is not None and chances is not None
-    stopped = _stopped(state.stopped, scene, graphs)
+    stopped = stopped_at_line(state.stopped, scene, graphs)
     # At a red light there is nothing to choose.
     choice = graphs.has_conflict & (graphs.focus_mask.sum(axis=1) > 1) & ~graphs.ego_at_red
     if egos is not None:
@@ -138,7 +138,7 @@ def first_of_others(focus_mask: BoolArray, chances: FloatArray) -> IntArray:
     return others.argmax(axis=1)
 
 
-def _stopped(before: frozenset[str], scene: Scene, graphs: SemanticGraphs) -> frozenset[str]:
+def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs) -> frozenset[str]:
     """Who has stood at the stop line ahead: told once, until the line is behind."""
     line = graphs.front_type[:, 0] == Front.STOP
     near = line & (graphs.x[:, 0, -1, 6] < AT_LINE_M)

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -265,21 +265,3 @@ def by_label(named: Mapping[str, Scenario]) -> dict[str, Scenario]:
         scenario.name if uses[scenario.name] == 1 else word: scenario
         for word, scenario in named.items()
     }
-
-
-def chosen_folder(arguments: argparse.Namespace, files: Sequence[str]) -> Path:
-    """Where the table's files go, none of which may be there; not made yet. Raises InputError."""
-    from hatn_sim.errors import InputError
-
-    out: Path | None = arguments.out
-    number = 1
-    while out is None:
-        folder = Path("runs") / f"{arguments.table}-{number}"
-        out = None if folder.exists() else folder
-        number += 1
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, found a file; choose another --out")
-    for name in files:
-        if (out / name).exists():
-            raise InputError(f"{out / name}: exists already; move it away or choose another --out")
-    return out

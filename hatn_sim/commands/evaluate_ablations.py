@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from hatn_sim.commands.evaluate import DURATION_S, HELD_OUT
-from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+from hatn_sim.commands.folders import free_or_own_folder
+from hatn_sim.evaluation.paper import SUMMARISES
 
 if TYPE_CHECKING:
     from hatn_sim.evaluation.table import AblationRow
@@ -50,14 +51,17 @@ CURVES: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "true goal": ("intention.a", "Input"),
         "hatn": ("intention.b", "hatn"),
     },
-    "summary": {
-        name: ("summary", name)
-        for name in (
-            "Baseline", "Feature", "Representation", "Goal State Signal", "Time Signal", "hatn"
-        )
-    },
-}  # fmt: skip
+    "summary": {name: ("summary", name) for name in SUMMARISES},
+}
 """Table -> curves of the figure of the error by step, by name, and the rows that they are of."""
+JUDGED: Final = (
+    "every vehicle that is on a line, standing or moving, twice a second where it was seen for a "
+    "second before and is for 3 s after; slots where it has more than one to choose from"
+)
+NOTES: Final = {
+    "summary": "Ours: the paper's whole method adapts online; beside it hatn, which does not"
+}
+"""What is to be said below a table, whosever rows it shows."""
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -85,7 +89,7 @@ def main(arguments: argparse.Namespace) -> int:
     caption = (
         f"ours: learnt from {len(learn):,} samples of {_traffic(split, 'train')}, seen at most "
         f"{study.how.epochs} times each; tuned on {len(tune):,} samples of "
-        f"{_traffic(split, 'tune')}; judged on {_traffic(split, 'test')}"
+        f"{_traffic(split, 'tune')}; judged on {_traffic(split, 'test')}: {JUDGED}"
     )
     return _print(arguments, out, judged.rows, judged.clustered_over, caption)
 
@@ -123,15 +127,15 @@ def _print(
     from hatn_sim.evaluation.paper import TABLES
     from hatn_sim.evaluation.table import compare, entries_json, write_csv, write_rows
     from hatn_sim.report.paper_table import paper_table
+    from hatn_sim.whole_file import save_whole
 
     table: str = arguments.table
     parts = [(part, compare(part, rows)) for part in TABLES[table]]
     entries = [entry for _, of_part in parts for entry in of_part]
-    out.mkdir(parents=True, exist_ok=True)
     csv_path = out / f"{table}.csv"
     write_csv(csv_path, entries)
     write_rows(out / f"{table}-rows.json", rows)
-    (out / f"{table}.json").write_text(entries_json(entries) + "\n", encoding="utf-8", newline="\n")
+    save_whole(out / f"{table}.json", entries_json(entries) + "\n")
     if arguments.json:
         print(entries_json(entries))
         return 0
@@ -139,8 +143,8 @@ def _print(
     for part, of_part in parts:
         console.print(paper_table(part, of_part, clustered_over))
         print()
-    if caption:
-        console.print(caption, style="dim", markup=False, highlight=False)
+    for line in filter(None, (NOTES.get(table), caption)):
+        console.print(line, style="dim", markup=False, highlight=False)
     print(f"numbers in {csv_path}")
     return 0
 
@@ -195,8 +199,9 @@ def _samples(
 ) -> tuple[Samples, Samples, Mapping[str, Samples]]:
     """To learn from, to tune on, and to judge on, these by scene."""
     from hatn_sim.errors import InputError
+    from hatn_sim.evaluation.pool import cores
     from hatn_sim.learn.ablation_training import whole
-    from hatn_sim.learn.sources import cores, gather
+    from hatn_sim.learn.sources import gather
     from hatn_sim.learn.train import TrainingPlan, collect
 
     workers = arguments.workers or cores()
@@ -213,10 +218,9 @@ def _samples(
 
 def _train(study: Study, rows: Sequence[Row], samples: int, workers: int, watch: Watch) -> None:
     """Train the networks that are missing, as many at a time as there are workers."""
-    from hatn_sim.evaluation.pool import work_on
+    from hatn_sim.evaluation.pool import cores, work_on
     from hatn_sim.learn.ablation_training import Job, is_trained, train_model
     from hatn_sim.learn.ablations import in_order, models_of
-    from hatn_sim.learn.sources import cores
 
     models = models_of(rows)
     called = {row.model: f"{row.table} {row.name}" for row in reversed(rows)}
@@ -244,7 +248,6 @@ def _draw(path: Path, judged: Judged) -> None:
     from hatn_sim.report.steps_figure import draw_steps, write_steps
 
     if judged.steps:
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_steps(path.with_suffix(".csv"), judged.steps)
         draw_steps(judged.steps, [path.with_suffix(".png"), path.with_suffix(".pdf")], "all")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from hatn_sim.commands.evaluate import HELD_OUT
-from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from hatn_sim.learn.adaptation_rows import AdaptationRow
@@ -43,7 +43,6 @@ def main(arguments: argparse.Namespace) -> int:
         for scene in traffic
     }
     rows = [row for part in by_place.values() for row in (*part[0], *part[1])]
-    out.mkdir(parents=True, exist_ok=True)
     write_csv(out / CSV_FILE, rows)
     figures = _draw(out, by_place)
     if arguments.json:
@@ -114,9 +113,8 @@ def _jobs(
 def _results(arguments: argparse.Namespace, jobs: Sequence[Job]) -> list[Results]:
     """What every job found, now or before."""
     from hatn_sim.commands.train_progress import TrainProgress
-    from hatn_sim.evaluation.pool import work_on
+    from hatn_sim.evaluation.pool import cores, work_on
     from hatn_sim.learn.adaptation_trials import do_trials, find_results
-    from hatn_sim.learn.sources import cores
 
     found = [find_results(job) for job in jobs]
     wanted = [number for number, results in enumerate(found) if results is None]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate import DURATION_S, chosen_folder, chosen_scenarios
+from hatn_sim.commands.evaluate import DURATION_S, chosen_scenarios
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,11 +38,10 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.score.density import density_scores
 
     scenarios = chosen_scenarios(arguments)
-    out = chosen_folder(arguments, (HISTOGRAMS, *FIGURES))
+    out = free_or_own_folder(arguments.out, "density", (HISTOGRAMS, *FIGURES))
     densities = {
         label: _measure(arguments, label, scenario) for label, scenario in scenarios.items()
     }
-    out.mkdir(parents=True, exist_ok=True)
     _write_histograms(out / HISTOGRAMS, densities)
     draw_density(densities, [out / name for name in FIGURES])
     if arguments.json:
@@ -119,15 +118,17 @@ def _frames(
 
 def _write_histograms(path: Path, densities: Mapping[str, Density]) -> None:
     from hatn_sim.score.density import counts_of, criteria_of, histogram
+    from hatn_sim.whole_file import save_csv
 
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("scene", "criterion", "interacting_vehicles", "samples", "share"))
-        for label, density in densities.items():
-            for criterion in criteria_of(density):
-                numbers, samples = histogram(counts_of(density, criterion))
-                for number, n in zip(numbers.tolist(), samples.tolist(), strict=True):
-                    writer.writerow((label, criterion, number, n, f"{n / samples.sum():.6f}"))
+    rows: list[Sequence[object]] = [
+        ("scene", "criterion", "interacting_vehicles", "samples", "share")
+    ]
+    for label, density in densities.items():
+        for criterion in criteria_of(density):
+            numbers, samples = histogram(counts_of(density, criterion))
+            for number, n in zip(numbers.tolist(), samples.tolist(), strict=True):
+                rows.append((label, criterion, number, n, f"{n / samples.sum():.6f}"))
+    save_csv(path, rows)
 
 
 def _print(densities: Mapping[str, Density]) -> None:

@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate import by_label, chosen_folder
+from hatn_sim.commands.evaluate import by_label
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,10 +40,9 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.score.line_accuracy import line_scores
 
     scenarios = _scenarios(arguments.scenes, arguments.quiet)
-    out = chosen_folder(arguments, (SCORES_FILE, *FIGURES))
+    out = free_or_own_folder(arguments.out, "lines", (SCORES_FILE, *FIGURES))
     samples = {label: _measure(arguments, label, one) for label, one in scenarios.items()}
     scores = {label: line_scores(one, label) for label, one in samples.items()}
-    out.mkdir(parents=True, exist_ok=True)
     draw_line_accuracy(samples, [out / name for name in FIGURES])
     every = [score for of_scene in scores.values() for score in of_scene]
     path = write_scores(out, every)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import sys
 from argparse import Namespace
@@ -13,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.evaluate import DURATION_S, HELD_OUT, PREDICTORS, chosen_scenarios
+from hatn_sim.commands.folders import free_or_own_folder
+from hatn_sim.evaluation.pool import cores
 
 if TYPE_CHECKING:
     from hatn_sim.config import RecordedSource, Scenario
@@ -224,6 +225,7 @@ def _as_run(
     choice_from: str,
 ) -> Namespace:
     """The arguments of the `hatn-sim run` that makes the same scores."""
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.commands.options import SIMULATORS_OWN
 
     source = scenario.recorded
@@ -241,6 +243,8 @@ def _as_run(
         adapt=arguments.adapt,
         lines=arguments.lines,
         egos=None,
+        assist_settings=None,
+        assist=AssistSettings(),
         net=None,
         react_from=None,
         drive=None,
@@ -266,22 +270,3 @@ def said_clusters(runs: Sequence[Run]) -> str:
     if over != "runs" or len(seeded) > 1:
         return over
     return "seeds" if True in seeded else "recordings"
-
-
-def free_or_own_folder(out: Path | None, name: str) -> Path:
-    """Where everything goes; not made yet. Raises InputError where a file is in its place."""
-    from hatn_sim.errors import InputError
-
-    number = 1
-    while out is None:
-        folder = Path("runs") / f"{name}-{number}"
-        out = None if folder.exists() else folder
-        number += 1
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, found a file; choose another --out")
-    return out
-
-
-def cores() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

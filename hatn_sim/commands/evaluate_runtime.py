@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,6 +28,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.errors import InputError
     from hatn_sim.hatn.predictor import Hatn
     from hatn_sim.predictors.find import weights_of
+    from hatn_sim.whole_file import save_csv
 
     scenes, seeds = arguments.scenes or (SCENE,), arguments.seeds or (1,)
     if len(scenes) > 1 or len(seeds) > 1:
@@ -41,11 +41,8 @@ def main(arguments: argparse.Namespace) -> int:
     predictor = Hatn(weights_of("hatn", arguments.weights))
     rows = measure_runtime(scenario, predictor, STEPS, seeds[0])
     out = free_or_own_folder(arguments.out, "runtime")
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / CSV_FILE).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("stage", "agents", "median_ms"))
-        writer.writerows((row.stage, row.agents, f"{row.median_ms:.4f}") for row in rows)
+    numbers = ((row.stage, row.agents, f"{row.median_ms:.4f}") for row in rows)
+    save_csv(out / CSV_FILE, [("stage", "agents", "median_ms"), *numbers])
     if arguments.json:
         print(json.dumps([asdict(row) for row in rows], indent=2))
         return 0

@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate_predictors import free_or_own_folder, make_runs, said_clusters
+from hatn_sim.commands.evaluate_predictors import make_runs, said_clusters
+from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
     from hatn_sim.datatypes import Score

@@ -32,6 +32,7 @@ from hatn_sim.commands.options import (
     names,
     seconds,
     seconds_or_none,
+    share,
     with_driving,
     with_lines_from,
 )
@@ -39,11 +40,13 @@ from hatn_sim.commands.options import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
     from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import Run, RunWriter
     from hatn_sim.loop import Driver
+    from hatn_sim.score.what_if import WhatIf
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
 EXAMPLES = """examples:
@@ -101,7 +104,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--assist",
         action="store_true",
+        dest="acts_on_advice",
         help="take whoever is advised (--egos, default: all) for one who acts on it: never adapted",
+    )
+    parser.add_argument(
+        "--assist-settings",
+        type=Path,
+        metavar="FILE.toml",
+        help="thresholds of alerts (default: those that ship)",
+    )
+    parser.add_argument(
+        "--counterfactuals",
+        type=share,
+        metavar="RATE",
+        help="share of alerts and suggestions to be judged by branches of the run, above 0 up to 1 "
+        "(default: none)",
     )
     add_traffic(parser)
     add_driving(parser)
@@ -118,6 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
+    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
     from hatn_sim.commands.chosen_predictors import load_predictors
     from hatn_sim.commands.line_choices import choice_header
     from hatn_sim.commands.run_header import make_header
@@ -132,6 +150,8 @@ def main(arguments: argparse.Namespace) -> int:
     _check_assist(arguments)
     scenario = with_lines_from(with_driving(chosen_scenario(arguments), arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
+    given: Path | None = arguments.assist_settings
+    arguments.assist = AssistSettings() if given is None else read_assist_settings(given)
     if arguments.warm_up is None:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
     if arguments.duration is None and scenario.recorded is None:
@@ -176,7 +196,7 @@ def main(arguments: argparse.Namespace) -> int:
 def _check_assist(arguments: argparse.Namespace) -> None:
     from hatn_sim.errors import InputError
 
-    if arguments.assist and arguments.egos is None and arguments.adapt != "none":
+    if arguments.acts_on_advice and arguments.egos is None and arguments.adapt != "none":
         raise InputError(
             f"--assist --adapt {arguments.adapt}: everybody is advised, and nobody who is advised "
             "is adapted; name those advised with --egos, or leave out --adapt"
@@ -194,8 +214,8 @@ def _fitted_choice(
     arguments: argparse.Namespace, scenario: Scenario, predictors: Sequence[Predictor]
 ) -> OthersChoice | None:
     """The choice of lines of --choice-from; None: each predictor has its own."""
-    from hatn_sim.commands.evaluate_predictors import cores
     from hatn_sim.commands.line_choices import choices_for
+    from hatn_sim.evaluation.pool import cores
 
     scenes, asked = {scenario.name: scenario}, arguments.choice_from
     found = choices_for(scenes, predictors, asked, None, cores(), arguments.quiet)
@@ -243,18 +263,24 @@ def _simulate(
     from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
     egos = None if arguments.egos is None else frozenset(arguments.egos)
-    advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]
+    settings: AssistSettings = arguments.assist
+    advisers = [Adviser(predictor, arguments.lines, egos, settings) for predictor in predictors]
     frame = warm_up(simulator, frame, round(arguments.warm_up / simulator.dt_s))
     duration_s: float | None = arguments.duration
     total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))
     began = time.monotonic()
+    what_if, main = _what_if(arguments, simulator), predictors[0].name
     with Progress(simulator.name, total, simulator.dt_s, arguments.quiet) as progress:
 
         def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
             writer.write(index, frame, advice)
+            if what_if is not None:
+                writer.write_counterfactuals(what_if.see(index, frame, advice[main]))
             progress.show(index + 1, len(frame.scene.ids))
 
         frames = run(simulator, advisers, frame, total or sys.maxsize, write, drivers)
+        if what_if is not None:
+            writer.write_counterfactuals(what_if.finish())
     seconds = time.monotonic() - began
     if total is not None and frames < total and not arguments.quiet:
         print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
@@ -262,6 +288,20 @@ def _simulate(
     if isinstance(simulator, SumoReplay):
         replay = simulator.fidelity, simulator.divergence
     return Simulated(frames, began, seconds, replay)
+
+
+def _what_if(arguments: argparse.Namespace, simulator: Simulator) -> WhatIf | None:
+    """What judges a sample of the advice; None where none is wanted, or nothing can be branched."""
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+    from hatn_sim.score.what_if import WhatIf
+
+    if arguments.counterfactuals is None:
+        return None
+    if simulator.cannot_branch is not None:
+        print(f"hatn-sim: run without counterfactuals: {simulator.cannot_branch}", file=sys.stderr)
+        return None
+    settings = CounterfactualSettings()
+    return WhatIf(simulator, arguments.counterfactuals, arguments.seed or 0, settings)
 
 
 def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: float) -> int:
@@ -299,12 +339,23 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
         f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
         f"{STEP_S * done.frames / taken_s:.1f} times real time"
     )
+    _tell_counterfactuals(logged)
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
     print(f"log, scores and picture in {out}" if pictures else f"log and scores in {out}")
     if pictures:
         print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
     return 0
+
+
+def _tell_counterfactuals(logged: Run) -> None:
+    """What branches said of the advice, and the weights of costs."""
+    if logged.counterfactuals is None:
+        return
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+    from hatn_sim.score.counterfactual_tally import tally, tally_words
+
+    print("\n".join(tally_words(tally(logged.counterfactuals), CounterfactualSettings())))
 
 
 def _write_replay(
@@ -315,9 +366,10 @@ def _write_replay(
         return []
     from hatn_sim.report.replay_table import replay_scores
     from hatn_sim.report.table import scores_json
+    from hatn_sim.whole_file import save_whole
 
     scores = replay_scores(str(logged.header["scene"]), *replay)
-    (out / REPLAY_FILE).write_text(scores_json(scores) + "\n", encoding="utf-8")
+    save_whole(out / REPLAY_FILE, scores_json(scores) + "\n")
     return scores
 
 

@@ -277,7 +277,7 @@ def _sweep(arguments: argparse.Namespace, plan: TrainingPlan, watch: Watch) -> i
     from hatn_sim.errors import InputError
     from hatn_sim.learn.settings import changed, settings_toml
     from hatn_sim.learn.sweep import best_trial, read_sweep, run_sweep
-    from hatn_sim.learn.whole_file import write_whole
+    from hatn_sim.whole_file import save_whole
 
     if len(plan.forms) > 1:
         raise InputError("--sweep tries out one form: add --form hatn or --form paper")
@@ -287,10 +287,7 @@ def _sweep(arguments: argparse.Namespace, plan: TrainingPlan, watch: Watch) -> i
     best = best_trial(found, sweep.judged_by)
     path = arguments.out.with_suffix(".settings.toml")
     text = settings_toml(changed(basis, str(arguments.sweep), best.values))
-    try:
-        write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; make room") from None
+    save_whole(path, text)
     _print_trials(found, sweep.judged_by)
     print(f"best settings in {path}; train with --settings {path}")
     return 0

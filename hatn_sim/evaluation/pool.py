@@ -48,6 +48,13 @@ class Teller:
             self.show(steps)
 
 
+def cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def work_on(
     work: Callable[[Item, Teller], Result], items: Sequence[Item], workers: int, show: Show
 ) -> Iterator[tuple[int, Result]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -12,6 +11,7 @@ from typing import Any, Final
 from hatn_sim.datatypes import Score
 from hatn_sim.errors import InputError
 from hatn_sim.evaluation.paper import SUMMARISES, TABLES, Cell, PaperTable, scenario_of
+from hatn_sim.whole_file import save_csv, save_whole
 
 COLUMNS: Final = (
     "table", "scene", "row", "measure", "unit", "paper_scenario", "paper_mean", "paper_std",
@@ -105,12 +105,7 @@ def with_summary(rows: Sequence[AblationRow]) -> list[AblationRow]:
 
 def write_csv(path: Path, entries: Sequence[Entry]) -> None:
     """One line for each number; a field is empty where there is none."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for entry in entries:
-            flat = _flat(entry)
-            writer.writerow(["" if flat[key] is None else flat[key] for key in COLUMNS])
+    save_csv(path, [COLUMNS, *(_flat(entry).values() for entry in entries)])
 
 
 def entries_json(entries: Sequence[Entry]) -> str:
@@ -138,11 +133,9 @@ def _flat(entry: Entry) -> dict[str, Any]:
 
 
 def write_rows(path: Path, rows: Sequence[AblationRow]) -> None:
-    """Keep the rows of ablations, whole or not at all, for `read_rows`."""
-    unfinished = path.with_name(f"{path.name}.tmp")
+    """Keep the rows of ablations for `read_rows`."""
     text = json.dumps([asdict(row) for row in rows], indent=1, allow_nan=False)
-    unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
-    unfinished.replace(path)
+    save_whole(path, text + "\n")
 
 
 def read_rows(path: Path) -> list[AblationRow]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -31,6 +30,7 @@ from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.line_choice import LineChoice
 from hatn_sim.line_features import FEATURES
+from hatn_sim.whole_file import beside, save_whole
 
 FORMAT: Final = 4
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
@@ -139,13 +139,13 @@ def save_weights(
         card = {**card, "line_features": list(FEATURES)}
     text = json.dumps(card_of(sgn, edn, card), indent=2) + "\n"
     make_folder(path)
-    _write(path.with_suffix(".json"), text.encode())
-    _write(path, save(tensors))
+    save_whole(path.with_suffix(".json"), text)
+    save_whole(path, save(tensors))
 
 
 def make_folder(path: Path) -> None:
     """Make the folder of the file `path`. InputError where a file cannot be written there."""
-    probe = _temporary(path)
+    probe = beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         probe.touch()
@@ -278,20 +278,3 @@ def _check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
 def _pair(sgn: SemanticGraphNetwork, edn: EncoderDecoderNetwork) -> nn.ModuleDict:
     """Both networks as one, whose tensors are named sgn.* and edn.*."""
     return nn.ModuleDict({"sgn": sgn, "edn": edn})
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Write a file under another name first, so that nobody ever sees half of it."""
-    temporary = _temporary(path)
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError(
-            f"weights {path}: cannot be written: {error.strerror}; make room there"
-        ) from None
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}")

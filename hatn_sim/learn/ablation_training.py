@@ -24,7 +24,6 @@ from torch import nn
 
 import hatn_sim
 from hatn_sim.datatypes import BoolArray
-from hatn_sim.errors import InputError
 from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
@@ -37,8 +36,8 @@ from hatn_sim.learn.fit import Figures, FitSettings, Workplace, fit
 from hatn_sim.learn.sgn_training import predicted_profiles, train_sgn
 from hatn_sim.learn.sources import samples_of
 from hatn_sim.learn.split import Split, Traffic
-from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.resources import PACKAGE_DIR
+from hatn_sim.whole_file import save_whole
 
 HOW: Final = FitSettings(epochs=20, batch=128, learning_rate=5e-3)
 """Many short steps: decoders that say where on the map a vehicle will be take thousands to learn
@@ -160,13 +159,9 @@ def train_model(job: Job, teller: Teller) -> Mapping[str, Any]:
         "seconds": round(time.monotonic() - started, 1),
     }
     data = save(network.state_dict(), {CARD: json.dumps(card)})
-    try:
-        write_whole(path, lambda file: file.write_bytes(data))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; make room and give the same command "
-            "again, which trains what is missing"
-        ) from None
+    save_whole(
+        path, data, "make room and give the same command again, which trains what is missing"
+    )
     shutil.rmtree(progress, ignore_errors=True)
     return card
 

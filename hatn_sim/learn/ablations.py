@@ -170,8 +170,7 @@ def _summary_rows(width: int) -> tuple[Row, ...]:
     of_place = {
         (row.table, row.name): row.model for row in (*_edn_rows(width), *_intention_rows(width))
     }
-    paper = [Row("summary", name, of_place[place]) for name, place in SUMMARISES.items()]
-    return (*paper, Row("summary", OURS, of_place["intention.b", OURS]))
+    return tuple(Row("summary", name, of_place[place]) for name, place in SUMMARISES.items())
 
 
 def _our_sgn(width: int) -> SgnModel:

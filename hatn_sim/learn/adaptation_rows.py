@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 
 from hatn_sim.learn.adaptation_study import MEASURES, VehicleErrors
 from hatn_sim.score import intervals
+from hatn_sim.whole_file import save_csv
 
 PAIR: Final = ("trained", "adapted")
 COLUMNS: Final = (
@@ -89,11 +89,7 @@ def clustered_over(runs: int) -> str:
 
 def write_csv(path: Path, rows: Sequence[AdaptationRow]) -> None:
     """One line for each measure of each row; errors in metres, the change as a share."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for flat in _flat(rows):
-            writer.writerow(["" if flat[key] is None else flat[key] for key in COLUMNS])
+    save_csv(path, [COLUMNS, *(flat.values() for flat in _flat(rows))])
 
 
 def rows_json(rows: Sequence[AdaptationRow]) -> str:

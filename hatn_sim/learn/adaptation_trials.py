@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -15,7 +16,7 @@ import numpy as np
 import torch
 
 from hatn_sim.datatypes import Frame, Simulator
-from hatn_sim.errors import HatnSimError, InputError
+from hatn_sim.errors import HatnSimError
 from hatn_sim.hatn.adaptation_layer import LAYERS, Layer
 from hatn_sim.hatn.adaptation_memory import MAX_STEPS, Method, default_settings
 from hatn_sim.hatn.predictor import Hatn
@@ -23,9 +24,9 @@ from hatn_sim.learn.adaptation_study import VehicleErrors, Watched, vehicle_erro
 from hatn_sim.learn.cache import key_of, source_version
 from hatn_sim.learn.content import content_hash
 from hatn_sim.learn.split import Traffic
-from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.loop import warm_up
 from hatn_sim.traffic import open_traffic
+from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
 LAST: Final[Layer] = "dense3"
 STEPS: Final = tuple(range(1, MAX_STEPS + 1))
@@ -155,14 +156,6 @@ def _path(job: Job) -> Path:
 def _keep(job: Job, results: Results) -> None:
     arrays: dict[str, Any] = {f"sum_m_{k}": found.sum_m for k, found in enumerate(results.values())}
     arrays |= {f"n_{k}": found.n for k, found in enumerate(results.values())}
-
-    def write(path: Path) -> None:
-        with path.open("wb") as file:
-            np.savez(file, **arrays)
-
-    try:
-        write_whole(_path(job), write)
-    except OSError as error:
-        raise InputError(
-            f"{job.folder}: {error.strerror}; make room, or choose another --out"
-        ) from None
+    data = io.BytesIO()
+    np.savez(data, **arrays)
+    save_whole(_path(job), data.getbuffer(), ROOM_OR_OUT)

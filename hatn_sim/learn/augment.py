@@ -65,6 +65,10 @@ _HEADING: Final = HISTORY.index("phi_rad")
 _YAW: Final = HISTORY.index("yaw_rad since now")
 _OFFSET: Final = HISTORY.index("d_m")
 _PLACE: Final = tuple(index for index, name in enumerate(HISTORY) if name.startswith(("x_", "y_m")))
+_VELOCITY: Final = (
+    HISTORY.index("speed_mps along the line"),
+    HISTORY.index("speed_mps across the line"),
+)
 _LATERAL: Final = _entry("lateral_m")
 _CURVATURE: Final = slice(_POINTS, 2 * _POINTS)
 
@@ -159,6 +163,8 @@ def turn_vehicles(
     """Vehicles [B] that head by `turn_rad` [B] to the left of where they did, and drive alike."""
     history = batch.history.clone()
     history[..., _HEADING] = history[..., _HEADING] + turn_rad[:, None]
+    # Speeds along and across the line are those that heading and speed tell of.
+    history[..., _VELOCITY] = _turned(history[..., _VELOCITY], turn_rad)
     history[..., _PLACE] = _turned(history[..., _PLACE], -turn_rad)
     line = _turned(batch.line, -turn_rad)
     return replace(batch, history=history, line=line), _turned(future_xy, -turn_rad)

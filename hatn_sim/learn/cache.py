@@ -26,10 +26,10 @@ from hatn_sim.config import Scenario
 from hatn_sim.learn.content import content_hash
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.split import Traffic
-from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.recordings.each import own_cases, own_files
 from hatn_sim.resources import PACKAGE_DIR
 from hatn_sim.simulators.sumo_config import named_files, read_sumocfg
+from hatn_sim.whole_file import write_whole
 
 LARGEST_BYTES: Final = 20 * 2**30
 """Of the folder: beyond that, those not used for longest go."""
@@ -42,6 +42,7 @@ NO_PART_IN_SAMPLES: Final = (
     "predictors",
     "report",
     "score",
+    "whole_file",
     "bench",
     "cli",
     "hatn/",

@@ -25,7 +25,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from hatn_sim.datatypes import IntArray
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.learn.watch import Nobody, Watch
-from hatn_sim.learn.whole_file import write_whole
+from hatn_sim.whole_file import save_whole
 
 LARGEST_GRADIENT: Final = 1.0
 """Gradients of a larger norm are scaled down to it."""
@@ -208,13 +208,8 @@ def _save(place: Workplace, name: str, parts: Mapping[str, Any], state: _State) 
     content = {key: part.state_dict() for key, part in parts.items()} | {"state": vars(state)}
     data = io.BytesIO()
     torch.save(content, data)
-    try:
-        write_whole(path, lambda file: file.write_bytes(data.getbuffer()))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; make room and give the same command "
-            f"again, which goes on with epoch {state.epoch}"
-        ) from None
+    again = f"make room and give the same command again, which goes on with epoch {state.epoch}"
+    save_whole(path, data.getbuffer(), again)
 
 
 def _resume(place: Workplace, name: str, parts: Mapping[str, Any]) -> _State:

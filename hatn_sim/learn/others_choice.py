@@ -3,6 +3,13 @@
 Labels of the choice are hindsight of tracks alone (METHOD section 1.1), so the recordings that drew
 the lines of another can also teach which of these lines drivers take. The recording itself has no
 part in it: neither in the lines nor in the choice.
+
+Whether it is taken is judged more kindly than on a recording that is scored: the half held out from
+the fit has helped to draw the lines that it is judged on, so one of them fits its drivers better
+than it fits strangers. What it is compared with, the choice of the weights, is judged on the same
+lines by the same drivers; so the errors of both are too small, and the comparison is fair but for a
+fit that gains from lines drawn too near. Lines drawn anew without each half would cost as much
+again, and could be too few to drive on.
 """
 
 from __future__ import annotations
@@ -27,8 +34,8 @@ from hatn_sim.learn.line_samples import ChoiceSamples, choice_samples, joined
 from hatn_sim.learn.sources import named, played
 from hatn_sim.learn.split import Traffic
 from hatn_sim.learn.watch import Watch
-from hatn_sim.learn.whole_file import write_whole
 from hatn_sim.line_choice import DIGITS, LineChoice
+from hatn_sim.whole_file import save_whole
 
 LEAST: Final = 2
 """Recordings without which none can be held out from the fit."""
@@ -248,7 +255,4 @@ def _write(path: Path | None, found: OthersChoice) -> None:
     if choice is not None:
         weights = {name: one.tolist() for name, one in choice.to_arrays().items()}
     text = json.dumps({"about": found.about(), "weights": weights}, indent=1) + "\n"
-    try:
-        write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; make room there") from None
+    save_whole(path, text)

@@ -31,7 +31,16 @@ from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.learn.fit import Figures, LossError
 from hatn_sim.learn.settings import SECTIONS, TrainingSettings, changed, check_key
 from hatn_sim.learn.split_file import read_toml
-from hatn_sim.learn.train import TrainingPlan, begin_work, collect, described, fit_edn, fit_sgn
+from hatn_sim.learn.train import (
+    TrainingPlan,
+    begin_work,
+    choosing,
+    collect,
+    described,
+    fit_edn,
+    fit_lines,
+    fit_sgn,
+)
 from hatn_sim.learn.watch import Watch
 
 KEYS: Final = ("draws", "seed", "judged_by")
@@ -122,6 +131,8 @@ def run_sweep(
 ) -> list[Trial]:
     """Try all that is not in `done_path` yet, one line of which is written for each.
 
+    Samples are cut as `train` cuts them: with a choice of lines fitted to the recordings.
+
     Raises:
         InputError: as `train` does, and where the file is of another sweep or cannot be written.
     """
@@ -133,7 +144,7 @@ def run_sweep(
     done = _read_done(done_path, mark)
     if all(_line_of(values) in done for values in wanted):
         return [done[_line_of(values)] for values in wanted]
-    learn, tune = collect(plan, watch)
+    learn, tune = collect(choosing(plan, fit_lines(plan, watch)), watch)
     known: dict[object, tuple[SemanticGraphNetwork, Figures]] = {}
 
     def figures_of(settings: TrainingSettings) -> Figures:

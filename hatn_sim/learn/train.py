@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file
 from safetensors.torch import save as tensor_bytes
 
 import hatn_sim
 from hatn_sim.errors import HatnSimError, InputError
+from hatn_sim.evaluation.pool import cores
 from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
@@ -35,11 +37,10 @@ from hatn_sim.learn.fit import Figures, FitSettings, LossError, Workplace, fit
 from hatn_sim.learn.settings import TrainingSettings
 from hatn_sim.learn.sgn_training import Fit, predicted_profiles, train_sgn
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
-from hatn_sim.learn.sources import cores, gather
+from hatn_sim.learn.sources import gather
 from hatn_sim.learn.split import Split
 from hatn_sim.learn.watch import Nobody, Watch
-from hatn_sim.learn.whole_file import write_whole
-from hatn_sim.line_choice import LineChoice
+from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
 MAX_SEED: Final = 2**64 - 1
 """The largest that torch takes."""
@@ -85,9 +86,8 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
     watch = watch or Nobody()
     place = replace(begin_work(plan, out, watch), progress=progress_folder(out))
     going_on = _goes_on(plan, out)
-    site = _kept_choice(out) if going_on else fit_to_sites(plan.split, _workers(plan), watch)
-    choice = None if site is None else site.choice
-    learn, tune = collect(plan if choice is None else _choosing(plan, choice), watch)
+    site = _kept_choice(out) if going_on else fit_lines(plan, watch)
+    learn, tune = collect(choosing(plan, site), watch)
     if not going_on:
         _begin(plan, out, site)
     cards: dict[str, dict[str, Any]] = {}
@@ -98,7 +98,7 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
             continue
         name = form if len(plan.forms) > 1 else ""
         card = _card(plan, form, settings, len(learn), len(tune), site)
-        save = partial(save_weights, path, line_choice=choice)
+        save = partial(save_weights, path, line_choice=site and site.choice)
         start = plan.start if form == STARTED_FORM else None
         cards[form] = _train_form(learn, tune, settings, start, place, name, path, card, save)
     shutil.rmtree(progress_folder(out), ignore_errors=True)
@@ -127,7 +127,7 @@ def _train_form(
         if not lost.epoch or place.progress is None:
             raise
         kept = place.progress / f"{path.stem}-sgn.safetensors"
-        _write(kept, tensor_bytes(lost.model.state_dict()))
+        save_whole(kept, tensor_bytes(lost.model.state_dict()), ROOM_OR_OUT)
         raise HatnSimError(f"{lost}, in {kept}") from None
     try:
         edn, more = fit_edn(learn, tune, sgn, settings, place, name, start and start.edn)
@@ -265,29 +265,39 @@ def _begin(plan: TrainingPlan, out: Path, site: SiteChoice | None) -> None:
     path = progress_folder(out) / PLAN_FILE
     text = json.dumps({**described(plan), LINES: None if site is None else site.card})
     if site is not None:
-        _write(path.with_name(LINES_FILE), tensor_bytes(choice_tensors(site.choice)))
-    _write(path, text.encode())
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        write_whole(path, lambda file: file.write_bytes(data))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; make room, or choose another --out"
-        ) from None
+        tensors = tensor_bytes(choice_tensors(site.choice))
+        save_whole(path.with_name(LINES_FILE), tensors, ROOM_OR_OUT)
+    save_whole(path, text, ROOM_OR_OUT)
 
 
 def _kept_choice(out: Path) -> SiteChoice | None:
-    """The choice of lines that a training which goes on began with."""
+    """The choice of lines that a training which goes on began with.
+
+    Raises InputError where it is lost or damaged: what was trained hangs on it.
+    """
     folder = progress_folder(out)
     path = folder / LINES_FILE
     card = json.loads((folder / PLAN_FILE).read_text(encoding="utf-8")).get(LINES)
-    return None if card is None else SiteChoice(choice_of(path, load_file(path)), card)
+    if card is None:
+        return None
+    try:
+        return SiteChoice(choice_of(path, load_file(path)), card)
+    except (OSError, SafetensorError, InputError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: not the choice of lines of this training ({reason[:160]}); remove the folder "
+            "to begin anew"
+        ) from None
 
 
-def _choosing(plan: TrainingPlan, choice: LineChoice) -> TrainingPlan:
-    return replace(plan, split=plan.split.with_choice(choice))
+def fit_lines(plan: TrainingPlan, watch: Watch) -> SiteChoice | None:
+    """The choice of lines for the plan's recordings; None: that which ships is as good."""
+    return fit_to_sites(plan.split, _workers(plan), watch)
+
+
+def choosing(plan: TrainingPlan, site: SiteChoice | None) -> TrainingPlan:
+    """The plan with the choice of lines that `fit_lines` found."""
+    return plan if site is None else replace(plan, split=plan.split.with_choice(site.choice))
 
 
 def _workers(plan: TrainingPlan) -> int:

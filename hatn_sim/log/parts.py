@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hatn_sim.errors import InputError
 from hatn_sim.log.schema import ID, Column, part_name
+from hatn_sim.whole_file import write_whole
 
 Array = NDArray[Any]
 Ragged = tuple[Array, Array]
@@ -38,8 +39,6 @@ class PartBuffer:
             return
         table = pa.table({column.name: self._arrow(column, ids) for column in self._columns})
         path = self._folder / part_name(part)
-        unfinished = path.with_suffix(".tmp")
-        self._folder.mkdir(parents=True, exist_ok=True)
         # Neighbouring floats share their high bytes: split, they are smaller and faster to pack.
         floats = [_leaf(c) for c in self._columns if c.dtype.startswith("float")]
         options: dict[str, Any] = {
@@ -49,8 +48,7 @@ class PartBuffer:
             "column_encoding": dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
             "write_statistics": False,
         }
-        pq.write_table(table, unfinished, **options)
-        unfinished.replace(path)
+        write_whole(path, lambda file: pq.write_table(table, file, **options))
         self._frames.clear()
 
     def _arrow(self, column: Column, ids: Sequence[str]) -> Any:

@@ -238,6 +238,12 @@ class Run:
         frames = range(0, self.frame_count, every_frames)
         return read_parts(self.path / folder, range(self.parts), columns, index, frames)
 
+    @cached_property
+    def counterfactuals(self) -> list[Mapping[str, Any]] | None:
+        """What branches of the run said of its advice; None where none were asked for."""
+        name = schema.COUNTERFACTUALS_FILE
+        return self._lines(name) if (self.path / name).exists() else None
+
     def _lines(self, name: str) -> list[Any]:
         path = self.path / name
         lines = _read_text(path).split("\n")

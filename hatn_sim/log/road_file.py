@@ -12,6 +12,7 @@ import numpy as np
 
 from hatn_sim.datatypes import Gate, Kind, Lane
 from hatn_sim.errors import InputError
+from hatn_sim.whole_file import write_whole
 
 ROAD_FILE: Final = "road.json.gz"
 """Its name in the folder of a run."""
@@ -26,10 +27,9 @@ def write_road(path: Path, lanes: Iterable[Lane]) -> None:
     """Write lanes exactly, as gzipped JSON; the same lanes give the same bytes."""
     content = {"format": FORMAT, "lanes": [_to_json(lane) for lane in lanes]}
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-    unfinished = path.with_name(f"{path.name}.tmp")
     # mtime: gzip would otherwise store the time of writing.
-    unfinished.write_bytes(gzip.compress(text.encode("utf-8"), compresslevel=6, mtime=0))
-    unfinished.replace(path)
+    data = gzip.compress(text.encode("utf-8"), compresslevel=6, mtime=0)
+    write_whole(path, lambda file: file.write_bytes(data))
 
 
 def read_road(path: Path) -> list[Lane]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -14,6 +15,7 @@ from hatn_sim.log import Run
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.moment import Moment, read_moments
 from hatn_sim.report.picture import camera, caption
+from hatn_sim.whole_file import save_whole
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -110,8 +112,9 @@ def _write_gif(images: Sequence[Image.Image], out_gif: Path) -> None:
     palette = strip.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, kmeans=1)
     # No dithering: it would crawl, and triple the size.
     indexed = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    data = io.BytesIO()
     indexed[0].save(
-        out_gif,
+        data,
         format="GIF",
         save_all=True,
         append_images=indexed[1:],
@@ -120,3 +123,4 @@ def _write_gif(images: Sequence[Image.Image], out_gif: Path) -> None:
         optimize=False,
         disposal=1,
     )
+    save_whole(out_gif, data.getbuffer())

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from itertools import product
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -69,7 +70,8 @@ KINDS: Final[Mapping[str, CaseKind]] = {
             2,
             "A sequence of interactions",
             8,
-            f"an ego that yields and passes at {MIN_ENCOUNTERS} conflicts one after the other",
+            f"an ego that yields and passes at {MIN_ENCOUNTERS} conflicts one after the other, at "
+            "another moment than that of transfer",
         ),
         CaseKind(
             "transfer",
@@ -106,6 +108,23 @@ class _Told:
     beats: tuple[Beat, ...] = ()
 
 
+class _Candidate(NamedTuple):
+    value: float
+    choices: Choices
+    ego: int
+    told: _Told
+
+    def shares_moments(self, other: _Candidate) -> bool:
+        """Whether both tell of the same ego at the same time."""
+        same = self.choices is other.choices and self.ego == other.ego
+        return same and self.told.first <= other.last_frame and other.told.first <= self.last_frame
+
+    @property
+    def last_frame(self) -> int:
+        end = self.told.encounters[-1]
+        return max(end.last_frame, end.crossed_frame or 0)
+
+
 def find_cases(runs: Sequence[Run], names: Sequence[str]) -> dict[str, Case]:
     """The most telling case of each of these kinds, by its name; none where there is none.
 
@@ -114,21 +133,36 @@ def find_cases(runs: Sequence[Run], names: Sequence[str]) -> dict[str, Case]:
     probability of yielding swings; slots to choose from; vehicles let go and passed; distance
     driven; a story that is not long; others near to their conflicts, and soon there; and what the
     kind of case is about. Wrong predictions make a case less telling, not unfit. Ties go to the
-    earlier run, ego and frame.
+    earlier run, ego and frame. A sequence and a transfer are never of one ego at the same time:
+    those are taken that together are the most telling, and a transfer alone where none differ.
 
     Raises:
         InputError: a run has no predictions of slots.
     """
-    best: dict[str, Case] = {}
+    found: dict[str, list[_Candidate]] = {}
     for run in runs:
         choices = read_choices(run)
         for ego, met in stories(choices):
             for name in names:
                 for told in _candidates(name, choices, met):
                     value = _value(choices, ego, told)
-                    if name not in best or value > best[name].value:
-                        best[name] = _case(KINDS[name], choices, ego, told, value)
-    return best
+                    found.setdefault(name, []).append(_Candidate(value, choices, ego, told))
+    best = {name: max(some, key=lambda one: one.value) for name, some in found.items()}
+    if {"sequence", "transfer"} <= best.keys():
+        pairs = product(found["sequence"], found["transfer"])
+        apart = (pair for pair in pairs if not pair[0].shares_moments(pair[1]))
+        pair = max(apart, key=lambda pair: pair[0].value + pair[1].value, default=None)
+        if pair is None:
+            del best["sequence"]
+        else:
+            best["sequence"], best["transfer"] = pair
+    return {
+        name: _case(
+            KINDS[name], best[name].choices, best[name].ego, best[name].told, best[name].value
+        )
+        for name in names
+        if name in best
+    }
 
 
 def missing(runs: Sequence[Run], kinds: Sequence[CaseKind]) -> InputError:

@@ -5,6 +5,7 @@ Imports matplotlib, so import this module only where something is drawn.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.whole_file import save_whole
 
 
 def new_chart(size_in: tuple[float, float]) -> Figure:
@@ -46,4 +48,6 @@ def save_figure(figure: Figure, paths: Sequence[Path], **options: Any) -> None:
     for path in paths:
         # Without the versions and dates that would change the bytes.
         stamps = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
-        figure.savefig(path, metadata=stamps, **options)
+        data = io.BytesIO()
+        figure.savefig(data, format=path.suffix[1:], metadata=stamps, **options)
+        save_whole(path, data.getbuffer())

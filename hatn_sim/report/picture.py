@@ -30,6 +30,7 @@ def draw_moment(run: Run, frame: int, ego_id: str, out_png: Path) -> None:
     """
     from hatn_sim.report.canvas import POSTER, open_sheet
     from hatn_sim.report.drawing import draw_moment_on
+    from hatn_sim.report.figures import save_figure
 
     moment = moment_at(run, frame, ego_id)
     lanes = read_road(run.path / ROAD_FILE)
@@ -37,8 +38,7 @@ def draw_moment(run: Run, frame: int, ego_id: str, out_png: Path) -> None:
     centre, width_m = camera([moment], wide / high)
     sheet = open_sheet(POSTER, lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
-    # No "Software": its version would change the bytes.
-    sheet.figure.savefig(out_png, format="png", metadata={"Software": None})
+    save_figure(sheet.figure, [out_png])
 
 
 def caption(run: Run, moment: Moment) -> str:

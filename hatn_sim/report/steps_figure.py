@@ -5,7 +5,6 @@ Imports matplotlib, so import this module only where something is drawn.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -17,6 +16,7 @@ from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.report.canvas import INK, SOFT_INK
 from hatn_sim.report.figures import dress, head_chart, new_chart, save_figure
 from hatn_sim.score.steps import StepErrors
+from hatn_sim.whole_file import save_csv
 
 COLOURS: Final = (
     "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8f98",
@@ -34,15 +34,14 @@ COLUMNS: Final = (
 
 def write_steps(path: Path, errors: Sequence[StepErrors]) -> None:
     """One row for each scene, predictor, subset and step; no interval is an empty field."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for one in errors:
-            for step in range(HORIZON_FRAMES):
-                values = (one.mean_m, one.std_m, one.low_m, one.high_m)
-                told = ("" if np.isnan(v[step]) else f"{v[step]:.6f}" for v in values)
-                at = (step + 1, f"{TIMES_S[step]:.1f}")
-                writer.writerow((one.scene, one.predictor, one.subset, *at, *told, one.n))
+    rows: list[Sequence[object]] = [COLUMNS]
+    for one in errors:
+        for step in range(HORIZON_FRAMES):
+            values = (one.mean_m, one.std_m, one.low_m, one.high_m)
+            told = ("" if np.isnan(v[step]) else f"{v[step]:.6f}" for v in values)
+            at = (step + 1, f"{TIMES_S[step]:.1f}")
+            rows.append((one.scene, one.predictor, one.subset, *at, *told, one.n))
+    save_csv(path, rows)
 
 
 def draw_steps(errors: Sequence[StepErrors], paths: Sequence[Path], subset: str = "moving") -> None:

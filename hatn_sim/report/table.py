@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hatn_sim.datatypes import Score
+from hatn_sim.whole_file import save_whole
 
 SCORES_FILE = "scores.json"
 BASELINE = "constant_velocity"
@@ -60,7 +61,7 @@ def scores_json(scores: Sequence[Score]) -> str:
 def write_scores(folder: Path, scores: Sequence[Score]) -> Path:
     """Write `scores.json` into the folder of a run."""
     path = folder / SCORES_FILE
-    path.write_text(scores_json(scores) + "\n", encoding="utf-8", newline="\n")
+    save_whole(path, scores_json(scores) + "\n")
     return path
 
 

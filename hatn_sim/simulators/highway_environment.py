@@ -16,6 +16,7 @@ from highway_env.vehicle import behavior
 
 from hatn_sim.config import HighwaySource
 from hatn_sim.errors import InputError, nearest
+from hatn_sim.simulators.highway_places import PLACES, register
 
 SUBSTEPS: Final = 2
 FREQUENCY_HZ: Final = 20
@@ -54,13 +55,17 @@ RANGES: Final = {
 
 
 def known_environments() -> tuple[str, ...]:
-    """The ids of highway-env's environments with roads."""
+    """The ids of highway-env's environments with roads, and of ours."""
+    register()
     return tuple(
         sorted(
             name
             for name, spec in gymnasium.registry.items()
-            if str(spec.entry_point).startswith(f"{highway_env.__name__}.")
-            and not name.startswith(NO_TRAFFIC)
+            if name in PLACES
+            or (
+                str(spec.entry_point).startswith(f"{highway_env.__name__}.")
+                and not name.startswith(NO_TRAFFIC)
+            )
         )
     )
 

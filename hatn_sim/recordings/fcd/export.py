@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
@@ -17,6 +18,7 @@ from hatn_sim.log import Run
 from hatn_sim.log.road_file import ROAD_FILE, read_road, write_road
 from hatn_sim.recordings.fcd.rows import CLOSED_ATTRIBUTE
 from hatn_sim.recordings.fcd.scenes import LEFT_BLINKER, RIGHT_BLINKER
+from hatn_sim.whole_file import write_whole
 
 FCD_FILE: Final = "fcd.xml.gz"
 _HEAD: Final = (
@@ -47,18 +49,20 @@ def export_fcd(run: Run, folder: Path) -> tuple[Path, Path]:
                 f"{run.path}: the vehicle {name!r} has a character in its name that XML cannot "
                 "hold; give vehicles other names and make the run again"
             )
-    unfinished = tracks.with_name(f"{tracks.name}.tmp")
+    write_whole(tracks, partial(_write_tracks, run))
+    return tracks, road
+
+
+def _write_tracks(run: Run, path: Path) -> None:
     # No name and no time in the gzip head: the same run gives the same bytes.
     with (
-        unfinished.open("wb") as file,
+        path.open("wb") as file,
         gzip.GzipFile("", "wb", compresslevel=6, fileobj=file, mtime=0) as stream,
     ):
         stream.write(_HEAD.encode())
         for frame in run.frames():
             stream.write("".join(_timestep(frame)).encode())
         stream.write(b"</fcd-export>\n")
-    unfinished.replace(tracks)
-    return tracks, road
 
 
 def _timestep(frame: Frame) -> Iterator[str]:

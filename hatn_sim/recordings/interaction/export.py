@@ -8,7 +8,6 @@ the format.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -22,6 +21,7 @@ from hatn_sim.recordings.interaction.checks import COLUMNS, STEP_MS
 from hatn_sim.recordings.interaction.files import ID_COLUMNS
 from hatn_sim.recordings.interaction.table import KIND_OF_AGENT
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
+from hatn_sim.whole_file import save_csv
 
 VEHICLES_FILE: Final = "vehicle_tracks_000.csv"
 PEDESTRIANS_FILE: Final = "pedestrian_tracks_000.csv"
@@ -55,10 +55,7 @@ def export_interaction(run: Run, folder: Path) -> tuple[Path, ...]:
         _write_tracks(files[1], tracks, first_frame, _chosen(track_ids, pieces, light, True))
     if track_ids != names:
         files.append(folder / IDS_FILE)
-        with files[-1].open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows(
-                [ID_COLUMNS, *zip(track_ids, names, strict=True)]
-            )
+        save_csv(files[-1], [ID_COLUMNS, *zip(track_ids, names, strict=True)])
     files.append(folder / MAP_FILE)
     write_lanelet2(files[-1], read_road(run.path / ROAD_FILE))
     return tuple(files)

@@ -26,6 +26,7 @@ from hatn_sim.recordings.lanelet2.rules import (
     KMH,
     PARTICIPANT_OF_KIND,
 )
+from hatn_sim.whole_file import save_whole
 
 STOP_LINE_BACK_M: Final = 0.3
 """Stop lines stand this far before the end of their lane."""
@@ -64,7 +65,7 @@ def write_lanelet2(path: Path, lanes: Sequence[Lane]) -> None:
         if lane.gate is not Gate.NONE:
             members.append(("relation", _rule(drawing, lane), "regulatory_element"))
         drawing.relation(members, _tags(lane))
-    path.write_text(drawing.text(), encoding="utf-8")
+    save_whole(path, drawing.text())
 
 
 def _side(lane: Lane, widths: float) -> FloatArray:

@@ -20,6 +20,7 @@ from hatn_sim.errors import InputError
 from hatn_sim.recordings.sumo_net.plan import NetPlan, PlannedConnection, plan_net
 from hatn_sim.simulators.sumo_config import first_error
 from hatn_sim.simulators.sumo_lanes import KIND_OF_CLASS
+from hatn_sim.whole_file import save_whole
 
 OPTIONS: Final = {
     "offset.disable-normalization": "true",  # the net stays in the frame of the map
@@ -158,10 +159,5 @@ def _allowed(kinds: frozenset[Kind]) -> dict[str, str]:
 
 
 def _deliver(content: bytes, path: Path) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; give another --out"
-        ) from error
+    data = gzip.compress(content, mtime=0) if path.suffix == ".gz" else content
+    save_whole(path, data, "give another --out")
