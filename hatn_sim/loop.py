@@ -173,12 +173,16 @@ def advise(
     adviser: Adviser, state: AdviserState, scene: Scene, prediction: Prediction
 ) -> tuple[AdviserState, Advice]:
     """What to make of a prediction: suggestions and alerts, where it has slots."""
-    if not adviser.advises or prediction.graphs is None or prediction.slot_probability is None:
+    needed = prediction.graphs, prediction.slot_probability, prediction.lines
+    if not adviser.advises or any(part is None for part in needed):
         return state, Advice(prediction, (), ())
     perception, settings = state.perception, adviser.settings
-    told, suggestions = suggest(state.suggestions, scene, prediction, adviser.egos)
     earlier = state.recent.earlier(scene.time_s)
-    moment = Moment(perception.road, perception.seen, prediction, earlier, settings)
+    road = perception.road
+    moment = Moment(road, perception.seen, prediction, earlier, settings)
+    told, suggestions = suggest(
+        state.suggestions, road, scene, prediction, adviser.egos, moment.pairs
+    )
     warned, alerts = alert(state.alerts, scene, hatn_rule(moment), settings, adviser.egos)
     after = replace(
         state,

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.pairs import Pairs, area_m, at_conflicts
 from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
@@ -32,11 +33,13 @@ from hatn_sim.datatypes import (
     FloatArray,
     Front,
     IntArray,
+    Lines,
     Prediction,
     Scene,
     SemanticGraphs,
 )
 from hatn_sim.graph import AHEAD_AT_M, CONTEXT
+from hatn_sim.road import Road
 from hatn_sim.speed_profile import LATERAL_MPS2
 
 PLAUSIBLE_WEIGHT: Final = 0.1
@@ -61,12 +64,19 @@ class Outlook:
     enter_s: FloatArray  # [E, M] of the other, as predicted
     leave_s: FloatArray  # [E, M]
     soonest_s: FloatArray  # [E, M] the earliest that the other may plausibly enter
+    taken_m: FloatArray  # [E] from the ego's front bumper to an area somebody is in; inf: none
+    taken_s: FloatArray  # [E] when it is left
 
 
-def look_ahead(scene: Scene, prediction: Prediction) -> Outlook:
-    """The outlook of a moment; needs `prediction.graphs`."""
-    graphs = prediction.graphs
-    assert graphs is not None
+def look_ahead(
+    road: Road, scene: Scene, prediction: Prediction, pairs: Pairs | None = None
+) -> Outlook:
+    """The outlook of a moment; needs `prediction.graphs` and `prediction.lines`.
+
+    `pairs` are those of the moment, if they are known already.
+    """
+    graphs, lines = prediction.graphs, prediction.lines
+    assert graphs is not None and lines is not None
     best = prediction.mode_probability.argmax(axis=1)
     path = prediction.xy_m[np.arange(len(best)), best]
     whole = np.concatenate((scene.xy_m[:, None], path), axis=1)
@@ -74,7 +84,8 @@ def look_ahead(scene: Scene, prediction: Prediction) -> Outlook:
     fastest = fastest_travel_m(prediction, travelled)
     ego = np.repeat(graphs.ego[:, None], graphs.rear.shape[1], axis=1)
     other = np.maximum(graphs.rear, 0)
-    ego_half, other_half = _areas_m(scene, graphs, ego, other)
+    ego_half, other_half = _areas_m(road, scene, lines, graphs, ego, other)
+    taken_m, taken_s = _taken(pairs or at_conflicts(road, scene, lines), graphs, travelled)
     room = graphs.ego_to_conflict_m - ego_half
     other_room = graphs.rear_to_conflict_m - other_half
     return Outlook(
@@ -87,21 +98,51 @@ def look_ahead(scene: Scene, prediction: Prediction) -> Outlook:
         enter_s=arrival_s(travelled, other, other_room),
         leave_s=arrival_s(travelled, other, graphs.rear_to_conflict_m + other_half),
         soonest_s=arrival_s(fastest, other, other_room),
+        taken_m=taken_m,
+        taken_s=taken_s,
     )
 
 
 def _areas_m(
-    scene: Scene, graphs: SemanticGraphs, ego: IntArray, other: IntArray
+    road: Road,
+    scene: Scene,
+    lines: Lines,
+    graphs: SemanticGraphs,
+    ego: IntArray,
+    other: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """From where a vehicle's centre is when it enters, to the point of conflict [E, M]: egos',
+    """From the centre of who enters or has just left, to the point of conflict [E, M]: egos',
     others'."""
-    merging = graphs.conflict_type == ConflictType.MERGE
-    half_length, half_width = 0.5 * scene.size_m[:, 0], 0.5 * scene.size_m[:, 1]
-    # Merging lines are side by side where they begin to share an area.
-    return (
-        half_length[ego] + np.where(merging, 0.0, half_width[other]),
-        half_length[other] + np.where(merging, 0.0, half_width[ego]),
-    )
+    half = np.zeros((2, *ego.shape))
+    e, m = np.nonzero(graphs.node_mask & (np.arange(ego.shape[1]) > 0))
+    index = np.stack((ego[e, m], other[e, m]), axis=1)
+    to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
+    point_s = lines.s_m[index] + to_point
+    of_pair, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
+    half[:, e, m] = of_pair.T
+    return half[0], half[1]
+
+
+def _taken(
+    pairs: Pairs, graphs: SemanticGraphs, travelled_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The nearest area [E] ahead of each ego that somebody who crosses is in, and until when.
+
+    Graphs let go of a conflict 2 m behind the other's centre: its rear may be in the area yet.
+    """
+    count = len(graphs.ids)
+    nearest, until = np.full(count, np.inf), np.zeros(count)
+    for mine, its in ((0, 1), (1, 0)):
+        inside = (pairs.type == ConflictType.CROSS) & (pairs.room_m[:, its] <= 0.0)
+        inside &= pairs.room_m[:, mine] > -0.5 * pairs.length_m[:, mine]
+        q = np.flatnonzero(inside)
+        q = q[np.argsort(-pairs.room_m[q, mine], kind="stable")]  # the nearest is written last
+        leave = arrival_s(travelled_m, pairs.index[q, its], pairs.clear_m[q, its])
+        nearer = pairs.room_m[q, mine] < nearest[pairs.index[q, mine]]
+        q, leave = q[nearer], leave[nearer]
+        nearest[pairs.index[q, mine]] = pairs.room_m[q, mine]
+        until[pairs.index[q, mine]] = leave + LEAVE_MARGIN_S
+    return nearest[graphs.ego], until[graphs.ego]
 
 
 def fastest_travel_m(prediction: Prediction, travelled_m: FloatArray) -> FloatArray:
@@ -173,8 +214,10 @@ def approaches(
             leader_m=leader_m,
             leader_mps=leader_mps,
             stop_m=to_line,
-            area_m=np.where(closed, outlook.room_m[row], np.inf),
-            open_s=np.where(closed, opens, 0.0),
+            area_m=np.column_stack(
+                (np.where(closed, outlook.room_m[row], np.inf), outlook.taken_m[row])
+            ),
+            open_s=np.column_stack((np.where(closed, opens, 0.0), outlook.taken_s[row])),
         ),
         area_s,
     )

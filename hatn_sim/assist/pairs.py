@@ -56,7 +56,7 @@ def pairs_of(
 
     `leader` and `leader_s_m` [N] are those of `Perception`.
     """
-    met, behind = _at_conflicts(road, scene, lines), _following(scene, lines, leader, leader_s_m)
+    met, behind = at_conflicts(road, scene, lines), _following(scene, lines, leader, leader_s_m)
     return Pairs(
         *(
             np.concatenate((getattr(met, field.name), getattr(behind, field.name)))
@@ -85,7 +85,8 @@ def area_m(
     return 0.5 * length + aside, angle
 
 
-def _at_conflicts(road: Road, scene: Scene, lines: Lines) -> Pairs:
+def at_conflicts(road: Road, scene: Scene, lines: Lines) -> Pairs:
+    """The pairs at conflicts only, of those of `pairs_of`."""
     on = np.flatnonzero(lines.line >= 0)
     near = np.zeros((0, 2), dtype=np.int64)
     reach = np.minimum(NEAR_M + AHEAD_S * scene.speed_mps, REACH_M)

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead, pass_margin_s
+from hatn_sim.assist.pairs import Pairs
 from hatn_sim.assist.profile import (
     COMFORT_BRAKING_MPS2,
     KNOT_S,
@@ -32,6 +33,7 @@ from hatn_sim.datatypes import (
     SemanticGraphs,
     Suggestion,
 )
+from hatn_sim.road import Road
 
 SPEAK_MARGIN: Final = 0.4
 """Advice begins where the best slot leads the next by this much ..."""
@@ -40,7 +42,7 @@ NEAR_M: Final = 10.0
 """Nor does it begin farther than either from the conflict, at the present speed."""
 SILENT_MARGIN: Final = -0.4
 """... and is doubted where another leads the one advised by this much."""
-DOUBT_FRAMES: Final = 5
+DOUBT_S: Final = 0.5
 """Advice that is doubted for so long changes; at once where it would be unsafe."""
 PASS_MARGIN_S: Final = 0.1
 """A pass is advised where the ego is out so long before anybody may plausibly come in ..."""
@@ -50,6 +52,7 @@ WAIT_KNOT: Final = 2
 """Whoever can still stop in comfort after so many knots of a pass need not give it up yet."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
+ROUNDING_S: Final = 1e-6
 HORIZON_S: Final = KNOTS * KNOT_S
 OUT_M: Final = 0.25
 """A yield works if the ego gets no farther than this into an area before it opens."""
@@ -64,7 +67,7 @@ class Told:
     slot_id: str  # the rear vehicle of the slot: the ego itself for a yield
     action: str
     feasible: bool
-    doubted: int = 0  # frames for which another slot would have been advised
+    doubted_s: float | None = None  # since when another slot would have been advised
 
 
 @dataclass(frozen=True)
@@ -77,11 +80,16 @@ class SuggestionState:
 
 def suggest(
     state: SuggestionState,
+    road: Road,
     scene: Scene,
     prediction: Prediction,
     egos: frozenset[str] | None,
+    pairs: Pairs | None = None,
 ) -> tuple[SuggestionState, tuple[Suggestion, ...]]:
-    """Suggestions of this moment for `egos` (None: all) with at least two slots to choose from."""
+    """Suggestions of this moment for `egos` (None: all) with at least two slots to choose from.
+
+    `pairs` are those of the moment, if they are known already.
+    """
     graphs, chances = prediction.graphs, prediction.slot_probability
     assert graphs is not None and chances is not None
     stopped = stopped_at_line(state.stopped, scene, graphs)
@@ -94,16 +102,16 @@ def suggest(
         return SuggestionState(stopped=stopped), ()
     names = [scene.ids[v] for v in graphs.ego[row].tolist()]
     before = [state.told.get(name) for name in names]
-    outlook = look_ahead(scene, prediction)
+    outlook = look_ahead(road, scene, prediction, pairs)
     likely = _likely(scene, graphs, chances, row, before)
     has_stopped = np.array([name in stopped for name in names])
     options = _options(outlook, row, likely.first, has_stopped)
     chosen = _choose(outlook, row, likely, options, before)
     out = _suggestions(outlook, row, likely, options, chosen)
     told = {
-        one.ego_id: Told(scene.ids[graphs.rear[e, m]], one.action, one.feasible, doubted)
-        for one, e, m, doubted in zip(
-            out, row.tolist(), chosen.slot.tolist(), chosen.doubted.tolist(), strict=True
+        one.ego_id: Told(scene.ids[graphs.rear[e, m]], one.action, one.feasible, doubted_s)
+        for one, e, m, doubted_s in zip(
+            out, row.tolist(), chosen.slot.tolist(), chosen.doubted_s, strict=True
         )
     }
     return SuggestionState(told, stopped), out
@@ -230,7 +238,8 @@ def _options(outlook: Outlook, row: IntArray, first: IntArray, stopped: BoolArra
     )
     group = outlook.graphs.focus_mask[row].copy()
     group[:, 0] = False
-    area_m, opens = approach.area_m[:count], approach.open_s[:count]
+    nodes = group.shape[1]
+    area_m, opens = approach.area_m[:count, :nodes], approach.open_s[:count, :nodes]
     # At the focus: what is further on can be seen to when this is behind.
     ahead = group & np.isfinite(area_m)
     enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + OUT_M, np.inf))
@@ -259,7 +268,7 @@ class _Chosen:
     slot: IntArray
     action: tuple[str, ...]
     feasible: BoolArray
-    doubted: IntArray  # frames for which another slot would have been advised
+    doubted_s: tuple[float | None, ...]  # since when another slot would have been advised
 
 
 def _choose(
@@ -270,7 +279,9 @@ def _choose(
     before: Sequence[Told | None],
 ) -> _Chosen:
     was_feasible = np.array([told is None or told.feasible for told in before])
-    doubted = np.array([0 if told is None else told.doubted for told in before])
+    now_s = outlook.scene.time_s
+    since = [None if told is None else told.doubted_s for told in before]
+    since_s = np.array([now_s if one is None else one for one in since])
     told = likely.told
     safe = options.margin_s >= np.where(told > 0, KEEP_PASS_MARGIN_S, PASS_MARGIN_S)
     safe |= options.can_wait
@@ -282,11 +293,12 @@ def _choose(
     passes = np.where(wants_pass, open_to_pass, ~options.stays_out)
     slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
-    doubted = np.where((told >= 0) & (slot != told), doubted + 1, 0)
-    holds = (doubted > 0) & (doubted < DOUBT_FRAMES)
+    holds = (told >= 0) & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
     holds &= np.where(told > 0, open_to_pass, options.stays_out)
     slot = np.where(holds, told, slot)
-    doubted = np.where(holds, doubted, 0)
+    doubted = tuple(
+        one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
+    )
     action = tuple(
         "abstain" if not speaks else ("pass" if goes else "yield")
         for speaks, goes in zip((likely.speaks | holds).tolist(), (slot > 0).tolist(), strict=True)

@@ -150,7 +150,7 @@ class _Looking:
         if index % LOOK_EVERY_FRAMES:
             return
         prediction = self._predictor.predict(self._memory)
-        self._told, suggestions = suggest(self._told, scene, prediction, None)
+        self._told, suggestions = suggest(self._told, self._road, scene, prediction, None)
         sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
         advice = Advice(prediction, suggestions, ())
         self._advice.add(index, scene.time_s, advice, sampled)

@@ -162,7 +162,7 @@ class WhatIf:
         chances = advice.prediction.slot_probability
         assert graphs is not None and chances is not None
         row, slot = np.array(pairs, np.int64).T
-        outlook = look_ahead(frame.scene, advice.prediction)
+        outlook = look_ahead(self._simulator.road, frame.scene, advice.prediction)
         profiles = slot_profiles(self._advised, outlook, row, slot, chances, settings.reaction_s)
         return [
             Plan(graphs.ids[graphs.ego[e]], settings.reaction_s, speed_mps, settings.blend_s)
