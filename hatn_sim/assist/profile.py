@@ -138,29 +138,23 @@ def drive(approach: Approach) -> Profiles:
         approach.acceleration_mps2, -HARD_BRAKING_MPS2, COMFORT_ACCELERATION_MPS2
     )
     speeds[0], accelerations[0], travels[0] = speed, acceleration, travelled
+    places = _places(approach)
     for knot in range(1, KNOTS + 1):
-        now = speed, acceleration, travelled
-        leader_mps = approach.leader_mps[:, knot]
-        behind = _keep_out(
-            approach.leader_m[:, knot] - travelled, speed, acceleration, LEADER, leader_mps
-        )
-        line = _keep_out(approach.stop_m - travelled, speed, acceleration, LINE)
-        wanted = np.minimum(np.minimum(behind, line), _by_road(approach, *now))
-        passed_s = approach.start_s + (knot - 1) * KNOT_S
-        wanted = np.minimum(wanted, _by_areas(approach, *now, passed_s))
+        now = knot, speed, acceleration, travelled
+        wanted = np.minimum(_keep_out(approach, places, *now), _by_road(approach, *now[1:]))
         jerk = np.where(wanted < -COMFORT_BRAKING_MPS2, HARD_JERK_MPS3, COMFORT_JERK_MPS3)
         before = acceleration
-        acceleration = np.clip(wanted, before - jerk * KNOT_S, before + COMFORT_JERK_MPS3 * KNOT_S)
-        acceleration = np.clip(acceleration, -HARD_BRAKING_MPS2, COMFORT_ACCELERATION_MPS2)
+        most = np.minimum(before + COMFORT_JERK_MPS3 * KNOT_S, COMFORT_ACCELERATION_MPS2)
+        least = np.maximum(before - jerk * KNOT_S, -HARD_BRAKING_MPS2)
+        acceleration = np.minimum(np.maximum(wanted, least), most)
         after = speed + 0.5 * KNOT_S * (before + acceleration)
         # It stops rather than reverse, and starts again from an acceleration of nothing.
         stopped = after < 0.0
         if stopped.any():
             acceleration = np.where(stopped, 0.0, acceleration)
             after = np.maximum(after, 0.0)
-        travelled = travelled + np.maximum(
-            KNOT_S * speed + KNOT_S**2 * (2.0 * before + acceleration) / 6.0, 0.0
-        )
+        step = KNOT_S * speed + KNOT_S**2 / 6.0 * (2.0 * before + acceleration)
+        travelled = travelled + np.maximum(step, 0.0)
         speed = after
         speeds[knot], accelerations[knot], travels[knot] = speed, acceleration, travelled
     return Profiles(approach.start_s, speeds.T, accelerations.T, travels.T)
@@ -179,49 +173,77 @@ def _by_road(
     return np.maximum(_towards(allowed, speed, acceleration), -SLOWING_MPS2)
 
 
-def _by_areas(
-    approach: Approach,
-    speed: FloatArray,
-    acceleration: FloatArray,
-    travelled: FloatArray,
-    now_s: float,
-) -> FloatArray:
-    left_s = approach.open_s - now_s
-    room = approach.area_m - travelled[:, None]
-    own, pull = speed[:, None], acceleration[:, None]
-    late_s = np.maximum(left_s, EASE_S)
-    even = 2.0 * (room - own * late_s) / late_s**2
-    # What the last centimetres would take is not worth more than comfort.
-    even = np.where(left_s > SURE_S, even, np.maximum(even, -AREA.braking_mps2))
-    stopping = _keep_out(room, own, pull, AREA)
-    # Standing still before it opens is to stop, not to arrive.
-    wanted = np.where(own + even * late_s < 0.0, stopping, even)
-    wanted = np.where(left_s > SURE_S, np.minimum(wanted, stopping), wanted)
-    wanted = np.where(left_s > 0.0, wanted, np.inf)
-    return np.asarray(wanted.min(axis=1, initial=np.inf))
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """What vehicles keep out of: areas, then the line, last the leader."""
+
+    room_m: FloatArray  # [K + 2, R]; the leader's is of each knot
+    open_s: FloatArray  # [K, R]
+    braking_mps2: FloatArray  # [K + 2, 1] of the rule of each
+    slack_mps: FloatArray
+    short_m: FloatArray
+
+
+def _places(approach: Approach) -> _Places:
+    used = np.isfinite(approach.area_m).any(axis=0)
+    area_m = approach.area_m[:, used].T
+    rules = (*(AREA,) * len(area_m), LINE, LEADER)
+    column = np.array([(rule.braking_mps2, rule.time_s, rule.short_m) for rule in rules])
+    return _Places(
+        room_m=np.concatenate((area_m, approach.stop_m[None], approach.leader_m[None, :, 0])),
+        open_s=approach.open_s[:, used].T,
+        braking_mps2=column[:, :1],
+        slack_mps=column[:, :1] * column[:, 1:2],
+        short_m=column[:, 2:],
+    )
 
 
 def _keep_out(
-    room_m: FloatArray,
+    approach: Approach,
+    places: _Places,
+    knot: int,
     speed: FloatArray,
     acceleration: FloatArray,
-    rule: Rule,
-    leader_mps: FloatArray | float = 0.0,
+    travelled: FloatArray,
 ) -> FloatArray:
-    """Acceleration that keeps a vehicle able to stop `short_m` before the end of its room, which
-    may move on: v t + v^2 / 2b = d + u^2 / 2b (Gipps 1981, eq. 4, with equal braking b).
+    """The largest acceleration [R] that keeps vehicles out of all places.
 
-    It brakes harder than planned only for the room itself.
+    They stay able to stop so far before the end of their room, which may move on:
+    v t + v^2 / 2b = d + u^2 / 2b (Gipps 1981, eq. 4, with equal braking b). They brake harder than
+    planned only for the room itself.
     """
-    slack = rule.braking_mps2 * rule.time_s
-    square = slack**2 + 2.0 * rule.braking_mps2 * (room_m - rule.short_m) + np.square(leader_mps)
+    braking, slack = places.braking_mps2, places.slack_mps
+    room = places.room_m - travelled
+    room[-1] = approach.leader_m[:, knot] - travelled
+    leader_square = approach.leader_mps[:, knot] ** 2
+    square = slack**2 + 2.0 * braking * (room - places.short_m)
+    square[-1] += leader_square
     safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - slack, 0.0)
-    needed = np.maximum(speed**2 - np.square(leader_mps), 0.0)
-    needed = needed / (2.0 * np.maximum(room_m - 0.4 * rule.short_m, 0.25))
-    wanted = np.maximum(
-        _towards(safe, speed, acceleration), -np.maximum(rule.braking_mps2, 1.2 * needed)
-    )
-    return np.where(needed > 0.8 * rule.braking_mps2, np.minimum(wanted, -needed), wanted)
+    stops_m = 2.0 * np.maximum(room - 0.4 * places.short_m, 0.25)
+    needed = speed**2 / stops_m
+    needed[-1] = np.maximum(speed**2 - leader_square, 0.0) / stops_m[-1]
+    wanted = np.maximum(_towards(safe, speed, acceleration), -np.maximum(braking, 1.2 * needed))
+    wanted = np.where(needed > 0.8 * braking, np.minimum(wanted, -needed), wanted)
+    areas = len(places.open_s)
+    if areas:
+        left_s = places.open_s - (approach.start_s + (knot - 1) * KNOT_S)
+        wanted[:areas] = _in_time(left_s, room[:areas], speed, wanted[:areas])
+    return np.asarray(wanted.min(axis=0))
+
+
+def _in_time(
+    left_s: FloatArray, room_m: FloatArray, speed: FloatArray, stopping: FloatArray
+) -> FloatArray:
+    """Acceleration [K, R] to arrive at areas as they open, in `left_s`, or to stop before them."""
+    late_s = np.maximum(left_s, EASE_S)
+    even = 2.0 * (room_m - speed * late_s) / late_s**2
+    # What the last centimetres would take is not worth more than comfort.
+    sure = left_s > SURE_S
+    even = np.where(sure, even, np.maximum(even, -AREA.braking_mps2))
+    # Standing still before it opens is to stop, not to arrive.
+    stops = speed + even * late_s < 0.0
+    wanted = np.where(stops, stopping, np.where(sure, np.minimum(even, stopping), even))
+    return np.where(left_s > 0.0, wanted, np.inf)
 
 
 def _towards(wanted_mps: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
