@@ -21,7 +21,14 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.options import names, seconds, seconds_or_none, seeds, whole_number
+from hatn_sim.commands.options import (
+    names,
+    seconds,
+    seconds_or_none,
+    seeds,
+    share,
+    whole_number,
+)
 from hatn_sim.resources import SUITES
 
 if TYPE_CHECKING:
@@ -96,8 +103,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=share,
         default=0.0,
         metavar="RATE",
-        help="share of alerts and suggestions that are judged by branches of the simulation, from "
-        "0 (default) to 1",
+        help="share of alerts and suggestions that are judged by branches of the simulation, up to "
+        "1 (default: none)",
     )
     parser.add_argument(
         "--calibrate", action="store_true", help="seek the threshold of HATN's alerts"
@@ -123,17 +130,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notices")
-
-
-def share(text: str) -> float:
-    """A share, 0 to 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"expected a share from 0 to 1, found {text!r}")
-    return value
 
 
 def main(arguments: argparse.Namespace) -> int:

@@ -18,7 +18,7 @@ ALERTS: Final = {
     "precision": "precision",
     "false_alarms_per_hour": "false/h",
     "near_alarms_per_hour": "near/h",
-    "duplicates": "duplicates",
+    "duplicates": "again",
 }
 SUGGESTIONS: Final = {
     "suggestion_agreement": "agreement",
@@ -103,5 +103,6 @@ def _cell(score: Score | None) -> str:
 
 def _number(value: float, unit: str) -> str:
     if unit == "share":
-        return f"{100.0 * value:.1f} %"
-    return f"{value:.2f}" + (" s" if unit == "s" else "")
+        return f"{100.0 * value:.{0 if value == 1.0 else 1}f} %"
+    digits = 2 if abs(value) < 10.0 else 1 if abs(value) < 100.0 else 0
+    return f"{value:.{digits}f}" + (" s" if unit == "s" else "")
