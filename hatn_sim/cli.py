@@ -7,11 +7,12 @@ Exit codes: 0 done, 1 the simulator or the machine failed, 2 something handed in
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import hatn_sim
 from hatn_sim.errors import HatnSimError, nearest
@@ -33,6 +34,19 @@ VERBS: Final = {
 
 class _Parser(argparse.ArgumentParser):
     """argparse with this project's kind of error: one line that says what to do."""
+
+    def parse_known_args(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, args: Any = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """As argparse does it, but that an unknown option is an error that names the nearest."""
+        found, unknown = super().parse_known_args(args, namespace)
+        for word in unknown:
+            name = word.partition("=")[0]
+            close = difflib.get_close_matches(name, self._option_string_actions, n=1)
+            if name.startswith("--"):
+                meant = f"; did you mean {close[0]}?" if close else ""
+                self.error(f"unknown option {name}{meant}")
+        return found, unknown
 
     def error(self, message: str) -> NoReturn:
         print(f"hatn-sim: {message}; see `{self.prog} --help`", file=sys.stderr)

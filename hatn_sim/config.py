@@ -55,6 +55,14 @@ class DrawnLines:
     vehicles: int
     sha256: str  # of the lanes: equal where they are
 
+    @property
+    def words(self) -> str:
+        """Where they are from, for a notice."""
+        return (
+            f"{self.vehicles} vehicles of {len(self.recordings)} other recordings; where none "
+            "drove, the map's lanes"
+        )
+
 
 @dataclass(frozen=True)
 class RecordedSource:
@@ -65,7 +73,7 @@ class RecordedSource:
     recordings: tuple[str, ...] = ()  # those wanted of the files' recordings; empty: all
     replay: ReplaySource | None = None  # None: nothing but the recording happens
     drawn: DrawnLines | None = None  # None: reference lines along the lanes of the map
-    lines_notice: str = ""  # why they are, where lines from tracks were thought of
+    lines_notice: str = ""  # said of its lines, in place of where they were drawn from
 
 
 @dataclass(frozen=True)

@@ -438,6 +438,11 @@ class Recording(Protocol):
     def notices(self) -> Sequence[str]: ...
 
     @property
+    def doubts(self) -> Sequence[str]:
+        """Those of the notices that ask whether the map is of this place: they go with scores."""
+        ...
+
+    @property
     def ids_by(self) -> str:
         """What ids name before their first colon: "recordings", "cases", or "" for nothing."""
         ...

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from hatn_sim.config import Scenario
 from hatn_sim.datatypes import Simulator
 
@@ -31,10 +33,13 @@ def open_traffic(scenario: Scenario) -> Simulator:
     return SumoSimulator(scenario)
 
 
-def ids_by(simulator: Simulator) -> str:
-    """What ids name before their first colon; see `Recording`."""
+def found_out(simulator: Simulator) -> dict[str, Any]:
+    """What recorded traffic, once its first frame is there, says of itself in `run.json`: what ids
+    name before their first colon, and doubts about its map; see `Recording`."""
     from hatn_sim.simulators.recorded import RecordedSimulator
     from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
-    recorded = isinstance(simulator, RecordedSimulator | SumoReplay)
-    return simulator.recording.ids_by if recorded else ""
+    if not isinstance(simulator, RecordedSimulator | SumoReplay):
+        return {"ids_by": ""}
+    doubts = list(simulator.recording.doubts)
+    return {"ids_by": simulator.recording.ids_by} | ({"doubts": doubts} if doubts else {})

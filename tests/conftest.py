@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Generator
 
 import numpy as np
 import pytest
@@ -81,3 +82,11 @@ def scene_of(
         blinker=np.full(count, blinker),
         signal_closed=np.zeros(0, dtype=np.bool_),
     )
+
+
+@pytest.fixture(autouse=True, scope="session")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Generator[None, None, None]:
+    """What is kept for the next command goes nowhere near the user's own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield

@@ -143,7 +143,9 @@ def test_a_duration_that_is_none(refused: Callable[..., str], value: str) -> Non
     ("words", "expected"),
     [
         (("run",), "name a SCENE, or give --tracks FILE --map FILE"),
-        (("run", "intersection5", "--sede", "1"), "unrecognized arguments: --sede 1"),
+        (("run", "intersection5", "--sede", "1"), "unknown option --sede; did you mean --seed?"),
+        (("evaluate", "--wieghts=a"), "unknown option --wieghts; did you mean --weights?; see `"),
+        (("run", "intersection5", "--zzz"), "unknown option --zzz; see `hatn-sim run --help`"),
         (("run", "intersection5", "--seed", "one"), "argument --seed: invalid int value: 'one'"),
         (("run", "intersection5", *CV, "--seed", "-1"), "seed: expected 0 to 2147483647, found -1"),
         (("run", "intersection5", *CV, "--warm-up", "-1"), "argument --warm-up: expected seconds,"),

@@ -141,7 +141,7 @@ def test_there_may_be_no_pedestrians_and_no_limit_to_turning(
 
 def test_a_map_out_of_place_is_noticed(tmp_path: Path, map_path: Path) -> None:
     path = tmp_path / "vehicle_tracks_000.csv"
-    for off_m, count in ((0.0, 0), (7.0, 1)):
+    for off_m, count in ((0.0, 0), (2.5, 1)):
         write(path, car(1, 1, 20, y_m=off_m))
         recording = open_recording("x", RecordedSource((path,), map_path))
         next(recording.frames())
@@ -150,6 +150,12 @@ def test_a_map_out_of_place_is_noticed(tmp_path: Path, map_path: Path) -> None:
         r"^vehicle_tracks_000.csv: vehicles are \d\.\d m from the middle .*is map.osm the map"
     )
     assert re.match(expected, recording.notices[0])
+    assert recording.doubts == recording.notices
+    write(path, car(1, 1, 20, y_m=7.0))
+    with pytest.raises(
+        InputError, match=r"found 0% .* \d\.\d m off at the median\): map and tracks"
+    ):
+        next(open_recording("x", RecordedSource((path,), map_path)).frames())
 
 
 def test_recordings_follow_each_other(tmp_path: Path, played: Callable[..., list[Frame]]) -> None:

@@ -284,6 +284,8 @@ def test_nothing_is_overwritten(tmp_path: Path, refused: Callable[..., str], tak
     assert f"{taken} exists already" in refused(*SHORT, "--form", "both", "--out", out)
 
 
+MORE = ("--tracks", "{tmp}/vehicle_tracks_*.csv", "--map", "{sample}/map.osm")
+MISSING = "--tracks: expected recordings to learn from and others to tune on; "
 TRACKS = ("--tracks", "{sample}/vehicle_tracks_000.csv", "--map", "{sample}/map.osm")
 
 
@@ -303,7 +305,13 @@ TRACKS = ("--tracks", "{sample}/vehicle_tracks_000.csv", "--map", "{sample}/map.
         (("--split", "no.toml", "--lines-from", "lanes"), "--lines-from lanes goes with --tracks"),
         (("--recordings", "000"), "--recordings goes with --tracks; leave it out"),
         ((*TRACKS, "--seeds", "1"), "--seeds is for scenes; leave it out with --tracks"),
-        (TRACKS, "--tracks: add --recordings 000-014, those to learn from and to tune on"),
+        (
+            TRACKS,
+            "--tracks: expected recordings to learn from and others to tune on, found 1; name",
+        ),
+        ((*MORE, "--recordings", "000-002"), MISSING + "add --tune 003-004"),
+        ((*MORE, "--tune", "000"), MISSING + "add --recordings 001-010"),
+        ((*MORE, "--recordings", "000-010"), MISSING + "say --recordings 000-008 --tune 009-010"),
         (
             (*TRACKS, "--recordings", "0", "--tune", "000"),
             "--recordings and --tune share {sample}/vehicle_tracks_000.csv: what is learnt from",
@@ -325,6 +333,8 @@ def test_words_that_are_wrong(
     tmp_path: Path, refused: Callable[..., str], words: tuple[str, ...], expected: str
 ) -> None:
     (tmp_path / "a.toml").write_text("[sgn]\nwidht = [3]\n")
+    for k in range(11):
+        (tmp_path / f"vehicle_tracks_{k:03d}.csv").touch()
     (tmp_path / "e.toml").write_text("[sgn]\nwidth = 32\n")
     (tmp_path / "b.toml").write_text("[edn]\nwidth = 0.5\n")
     (tmp_path / "c.toml").write_text("[fit]\nbatch = 1\n")

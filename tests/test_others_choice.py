@@ -30,6 +30,7 @@ from hatn_sim.log.choice_file import read_run_choice
 from hatn_sim.perception import begin, choose_lines_by
 from hatn_sim.recordings.each import each_recording
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
+from hatn_sim.recordings.track_lines import source
 from hatn_sim.road import Road
 from hatn_sim.score.line_origin import said_lines
 
@@ -293,3 +294,29 @@ def test_a_choice_is_asked_for_where_there_is_something_to_fit_it_to(
     told = refused("evaluate", *alone, "--predictors", "constant_velocity")
     assert "expected lines drawn from 2 other recordings or more" in told and "found 0" in told
     assert "found 0 for tjunction" in refused("run", "tjunction")
+
+
+def test_what_was_fitted_and_drawn_is_found_by_an_evaluation_elsewhere(
+    site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--recordings", "000", "--cache", "kept", "--out")
+    assert evaluate(site, *words, "first") == 0
+    said = capsys.readouterr().err
+    assert "reference lines from tracks: 0 of 4, reading 001" in said
+    assert "reference lines from tracks: 4 of 4, drawn from " in said
+    assert {path.suffix for path in Path("kept").iterdir()} == {".json", ".gz"}
+
+    def never(*_: object) -> None:
+        raise AssertionError("made once more")
+
+    source._drawn.cache_clear()  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(source, "lanes_from_paths", never)
+    monkeypatch.setattr("hatn_sim.learn.others_choice.fit_line_choice", never)
+    assert evaluate(site, *words, "second") == 0
+    assert "reference lines from tracks" not in capsys.readouterr().err
+    first, second = log("first", "000"), log("second", "000")
+    for key in ("lines_from", "choice_from"):
+        assert first.header["settings"][key] == second.header["settings"][key]
+    assert (
+        Path(first.path, "road.json.gz").read_bytes() == (second.path / "road.json.gz").read_bytes()
+    )

@@ -333,3 +333,45 @@ def test_who_is_driven_or_advised_is_not_adapted(
     assert not said.adapted[ego].any()
     assert said.adapted[late & ~ego].any()
     assert logged.header["weights_sha256"] == {"hatn": load_weights(path).sha256}
+
+
+@pytest.mark.parametrize("trained_on", ["tracks", "lanes"])
+def test_a_run_has_the_lines_that_its_weights_were_trained_on(
+    site: Path,
+    networks: tuple[SemanticGraphNetwork, EncoderDecoderNetwork],
+    capsys: pytest.CaptureFixture[str],
+    trained_on: str,
+) -> None:
+    card = {"split": {"train": [{"site": "crossing", "lines": trained_on}], "tune": []}}
+    save_weights(Path("own.safetensors"), *networks, card)
+    words = ["run", *tracks(site), "--recordings", "002", "--weights", "own.safetensors"]
+    words += ["--duration", "8", "--no-picture", "--out"]
+    assert cli.main([*words, "plain"]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "reference lines" in line]
+    header = read_run(Path("plain")).header
+    assert header["settings"]["lines_from"]["source"] == trained_on
+    if trained_on == "lanes":
+        assert said == [
+            "hatn-sim: reference lines along the lanes of the map; choice among them as in the "
+            "weights; own.safetensors was not trained on lines from tracks (otherwise: "
+            "--lines-from, --choice-from)"
+        ]
+        assert "--lines-from lanes --choice-from weights" in header["command"]
+        return
+    assert len(said) == 1 and "drawn from 90 vehicles of 6 other recordings; " in said[0]
+    assert "own.safetensors was trained on lines from tracks (otherwise: " in said[0]
+    assert evaluate(
+        site,
+        *("--recordings", "002", "--weights", "own.safetensors", "--predictors", "hatn"),
+        *("--out", "evaluated", "--quiet"),
+    ) == 0  # fmt: skip
+    evaluated = log("evaluated", "002")
+    for key in ("lines_from", "choice_from"):
+        assert header["settings"][key] == evaluated.header["settings"][key]
+    mine, theirs = (one.predictions("hatn", 5) for one in (read_run(Path("plain")), evaluated))
+    assert len(mine.frame) > 10
+    np.testing.assert_array_equal(mine.xy_m, theirs.xy_m)
+    assert cli.main([*words, "asked", "--lines-from", "lanes", "--choice-from", "weights"]) == 0
+    assert "; choice among them as in the weights; as asked for" in capsys.readouterr().err
+    asked = read_run(Path("asked")).header
+    assert asked["settings"]["lines_from"] == {"source": "lanes"}

@@ -244,6 +244,10 @@ def test_the_command(
         (["--table", "sgn", "--risk", "assertive"], "--risk is of no use to --table sgn"),
         ([*words[1:], "--seeds", "1"], "--seeds is of no use with --rows"),
         (["--table", "adaptation", "--epochs", "1"], "--epochs is of no use to --table adaptation"),
+        (
+            ["--table", "edn", "--tracks", "a.csv"],
+            "; leave it out, or name recordings in a file: --sp",
+        ),
         (["--rows", "rows.json"], "--rows is of no use without --table"),
     ):
         assert cli.main(["evaluate", *other]) == 2

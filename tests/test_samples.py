@@ -16,8 +16,9 @@ from hatn_sim.errors import HatnSimError, InputError, SimulatorError
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.learn import cache as cache_module
 from hatn_sim.learn import sources
-from hatn_sim.learn.cache import SampleCache, default_folder, key_of
+from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.dataset import Samples
+from hatn_sim.learn.kept import folder_for
 from hatn_sim.learn.sources import gather, samples_of
 from hatn_sim.learn.split import Traffic, traffic_of_runs, traffic_of_scenes, traffic_of_tracks
 from hatn_sim.learn.watch import Nobody
@@ -195,9 +196,9 @@ def test_the_folder_stays_within_its_bound(
 def test_where_samples_are_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert default_folder() == tmp_path / "hatn_sim" / "samples"
+    assert folder_for("samples") == tmp_path / "hatn_sim" / "samples"
     monkeypatch.delenv("XDG_CACHE_HOME")
-    assert default_folder() == Path.home() / ".cache" / "hatn_sim" / "samples"
+    assert folder_for("samples") == Path.home() / ".cache" / "hatn_sim" / "samples"
 
 
 def test_a_full_disk_costs_the_cache_only(tmp_path: Path, cut: Samples) -> None:

@@ -38,7 +38,7 @@ from hatn_sim.road import Road
 SPEAK_MARGIN: Final = 0.4
 """Advice begins where the best slot leads the next by this much ..."""
 NEAR_S: Final = 4.0
-NEAR_M: Final = 10.0
+NEAR_M: Final = 20.0
 """Nor does it begin farther than either from the conflict, at the present speed."""
 SILENT_MARGIN: Final = -0.4
 """... and is doubted where another leads the one advised by this much."""

@@ -100,12 +100,14 @@ USED_BY: Final = {
         *("scenes", "seeds", "duration", "tracks", "map", "recordings"),
         *("predictors", "weights", "workers"),
     },
-    "sota": {*TRAFFIC, *PREDICTED},
+    "sota": {*TRAFFIC, *PREDICTED, "cache"},
     "runtime": {"scenes", "seeds", "weights"},
     "density": {*TRAFFIC},
     "lines": {*TRAFFIC},
 }
 """Table -> the options that it knows."""
+OF_TRACKS: Final = ("tracks", "map", "recordings")
+INSTEAD: Final = "name recordings in a file: --split FILE.toml"
 DURATION_S: Final = 120.0
 HELD_OUT: Final = (601, 602, 603, 604, 605)
 """Seeds that the networks that ship have never seen; five of them make intervals over seeds."""
@@ -184,7 +186,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cache",
         metavar="FOLDER|none",
-        help="where samples for the ablations are kept (default: the system's)",
+        help="where samples for the ablations, lines drawn from tracks and choices among them are "
+        "kept (default: the system's)",
     )
     parser.add_argument(
         "--workers",
@@ -234,14 +237,15 @@ def _check_used(arguments: argparse.Namespace) -> None:
     from hatn_sim.errors import InputError
 
     table: str | None = arguments.table
-    known = {*TRAFFIC, *PREDICTED} if table is None else USED_BY[table]
+    known = {*TRAFFIC, *PREDICTED, "cache"} if table is None else USED_BY[table]
     given = table in ABLATIONS and arguments.rows is not None
     for option, value in {**TRAFFIC, **PREDICTED, **TRAINED}.items():
         if getattr(arguments, option) != value and option not in ({"rows"} if given else known):
             where = "without --table" if table is None else f"to --table {table}"
             where = "with --rows" if given else where
             name = option.replace("_", "-")
-            raise InputError(f"--{name} is of no use {where}; leave it out")
+            instead = f", or {INSTEAD}" if option in OF_TRACKS and "split" in known else ""
+            raise InputError(f"--{name} is of no use {where}; leave it out{instead}")
 
 
 def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Scenario]:

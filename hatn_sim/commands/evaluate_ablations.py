@@ -178,12 +178,12 @@ def _split(arguments: argparse.Namespace) -> Split:
 def _study(arguments: argparse.Namespace, split: Split, out: Path) -> Study:
     from hatn_sim.errors import InputError
     from hatn_sim.learn.ablation_training import Study
-    from hatn_sim.learn.cache import SampleCache, default_folder
+    from hatn_sim.learn.cache import SampleCache
+    from hatn_sim.learn.kept import SAMPLES, folder_for
     from hatn_sim.learn.train import MAX_SEED
 
-    folder = default_folder() if arguments.cache is None else Path(arguments.cache)
-    if arguments.cache == "none":
-        folder = out / "samples"  # the processes that train read them from a file
+    # With "none", the processes that train still read them from a file.
+    folder = folder_for(SAMPLES, arguments.cache) or out / "samples"
     if not 0 <= arguments.torch_seed <= MAX_SEED:
         raise InputError(
             f"--torch-seed {arguments.torch_seed}: expected 0 or more, and less than 2^64"

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from hatn_sim.log import Run
 
 RUNS_FOLDER: Final = "runs"
-CHOICES_FOLDER: Final = "choices"
 STEPS_FILE: Final = "steps.csv"
 FIGURES: Final = ("steps.png", "steps.pdf")
 
@@ -138,7 +137,7 @@ def _plans(
                 yield _plan(arguments, predictors, scenario, seed, label, out)
         else:
             scenes = _recordings(arguments, scenario, scenario.recorded)
-            choices = _choices(arguments, predictors, scenario, scenes, out)
+            choices = _choices(arguments, predictors, scenario, scenes)
             for name, one in scenes.items():
                 label = f"{scenario.name}, {name}"
                 yield _plan(arguments, predictors, one, None, label, out, choices.get(name))
@@ -148,13 +147,15 @@ def _recordings(
     arguments: argparse.Namespace, scenario: Scenario, source: RecordedSource
 ) -> Mapping[str, Scenario]:
     """Each with its reference lines, which are drawn here, once for many; scenes keep theirs."""
+    from hatn_sim.commands.line_choices import drawing_lines
     from hatn_sim.errors import InputError
     from hatn_sim.recordings.each import each_recording
 
     if arguments.lines == "route" and source.map_path is not None:
         raise InputError("--lines route: recorded tracks know no routes; leave it out")
     lines_from = arguments.lines_from if _is_of_tracks(scenario) else "lanes"
-    return each_recording(scenario, lines_from)
+    with drawing_lines(arguments.cache, arguments.quiet) as drawing:
+        return each_recording(scenario, lines_from, drawing)
 
 
 def _choices(
@@ -162,14 +163,13 @@ def _choices(
     predictors: Sequence[Predictor],
     scenario: Scenario,
     scenes: Mapping[str, Scenario],
-    out: Path,
 ) -> Mapping[str, OthersChoice]:
-    """What was fitted for recordings of --tracks to choose lines by, kept in OUT."""
+    """What was fitted for recordings of --tracks to choose lines by."""
     from hatn_sim.commands.line_choices import choices_for
 
     choice_from = arguments.choice_from if _is_of_tracks(scenario) else "weights"
-    workers, keep = arguments.workers or cores(), out / CHOICES_FOLDER
-    return choices_for(scenes, predictors, choice_from, keep, workers, arguments.quiet)
+    workers, cache = arguments.workers or cores(), arguments.cache
+    return choices_for(scenes, predictors, choice_from, cache, workers, arguments.quiet)
 
 
 def _is_of_tracks(scenario: Scenario) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
@@ -11,22 +12,35 @@ if TYPE_CHECKING:
     from hatn_sim.datatypes import Predictor
     from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.line_choice import LineChoice
+    from hatn_sim.recordings.track_lines.source import Drawing
 
+LINES_STAGE: Final = "reference lines from tracks"
 ENOUGH: Final = 3
 """Other recordings from which on "auto" fits a choice to them."""
+
+
+@contextmanager
+def drawing_lines(cache: str | None, quiet: bool) -> Generator[Drawing, None, None]:
+    """How lines are drawn for a command with this --cache: kept, and with progress."""
+    from hatn_sim.commands.train_progress import TrainProgress
+    from hatn_sim.learn.kept import LINES, folder_for
+    from hatn_sim.recordings.track_lines.source import Drawing
+
+    with TrainProgress(quiet) as watch:
+        yield Drawing(folder_for(LINES, cache), partial(watch.step, LINES_STAGE))
 
 
 def choices_for(
     scenes: Mapping[str, Scenario],
     predictors: Sequence[Predictor],
     choice_from: str,
-    keep: Path | None,
+    cache: str | None,
     workers: int,
     quiet: bool,
 ) -> Mapping[str, OthersChoice]:
     """The choice of lines for recordings by name; those that are not there keep to the weights.
 
-    `keep`: folder where what was fitted is found by the next command like this; None: nowhere.
+    What was fitted is kept, and found by the next command like this: `cache` is its --cache.
 
     Raises:
         InputError: with "tracks", where there are too few others; a recording is at fault.
@@ -35,11 +49,13 @@ def choices_for(
     if choice_from == "weights" or (choice_from == "auto" and not _any_enough(counts.values())):
         return {}
     from hatn_sim.commands.train_progress import TrainProgress
+    from hatn_sim.learn.kept import LINES, folder_for
     from hatn_sim.learn.others_choice import LEAST, choices_of_others
 
     if choice_from == "tracks":
         _refuse_few(counts, LEAST)
     least = LEAST if choice_from == "tracks" else ENOUGH
+    keep = folder_for(LINES, cache)
     with TrainProgress(quiet) as watch:
         return choices_of_others(scenes, _starts(predictors), least, keep, workers, watch)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
+    from hatn_sim.recordings.track_lines.source import Drawing
 
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
@@ -100,27 +101,28 @@ def add_tracks(parser: argparse.ArgumentParser, place: str) -> None:
     )
 
 
-def add_lines_from(parser: argparse.ArgumentParser, default: str) -> None:
-    """`--lines-from`."""
+def add_lines_from(parser: argparse.ArgumentParser, default: str | None, said: str = "") -> None:
+    """`--lines-from`; `said` of its default."""
     parser.add_argument(
         "--lines-from",
         choices=LINES_FROM,
         default=default,
         help="reference lines of INTERACTION tracks along the lanes of the map, or along those "
         "drawn from the tracks of the other recordings of --tracks; auto: from tracks where there "
-        f"are enough (default: {default})",
+        f"are enough (default: {said or default})",
     )
 
 
-def add_choice_from(parser: argparse.ArgumentParser, default: str) -> None:
-    """`--choice-from`."""
+def add_choice_from(parser: argparse.ArgumentParser, default: str | None, said: str = "") -> None:
+    """`--choice-from`; `said` of its default."""
     parser.add_argument(
         "--choice-from",
         choices=CHOICE_FROM,
         default=default,
         help="what chooses among the lines drawn from tracks, for all predictors: what each has in "
         "its weights, or that fitted to the tracks of the same other recordings, where it does "
-        f"better on those held out; auto: fitted where there are three (default: {default})",
+        "better on those held out; auto: fitted where there are three "
+        f"(default: {said or default})",
     )
 
 
@@ -207,13 +209,16 @@ def with_driving(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     return replace(scenario, recorded=replace(scenario.recorded, replay=replay))
 
 
-def with_lines_from(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+def with_lines_from(
+    scenario: Scenario, arguments: argparse.Namespace, drawing: Drawing
+) -> Scenario:
     """The scene with the reference lines of --lines-from. Raises InputError."""
     if arguments.lines_from == "lanes":
         return scenario
     from hatn_sim.recordings.track_lines.source import other_recordings, with_track_lines
 
-    return with_track_lines(scenario, other_recordings(scenario), arguments.lines_from)
+    others = other_recordings(scenario)
+    return with_track_lines(scenario, others, arguments.lines_from, drawing)
 
 
 def chosen_scenario(arguments: argparse.Namespace) -> Scenario:

@@ -34,7 +34,6 @@ from hatn_sim.commands.options import (
     seconds_or_none,
     share,
     with_driving,
-    with_lines_from,
 )
 
 if TYPE_CHECKING:
@@ -93,8 +92,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="further predictors to score on the same samples",
     )
     add_lines(parser)
-    add_lines_from(parser, "lanes")
-    add_choice_from(parser, "weights")
+    trained_on = "of weights trained on lines from tracks auto, else"
+    add_lines_from(parser, None, f"{trained_on} lanes")
+    add_choice_from(parser, None, f"{trained_on} weights")
     parser.add_argument(
         "--egos",
         type=names,
@@ -137,18 +137,19 @@ def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
     from hatn_sim.assist.settings import AssistSettings, read_assist_settings
     from hatn_sim.commands.chosen_predictors import load_predictors
-    from hatn_sim.commands.line_choices import choice_header
+    from hatn_sim.commands.line_choices import choice_header, drawing_lines
+    from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
     from hatn_sim.log import RunWriter
     from hatn_sim.log.choice_file import write_run_choice
     from hatn_sim.log.road_file import ROAD_FILE, write_road
     from hatn_sim.perception import choose_lines_by
-    from hatn_sim.traffic import ids_by, open_traffic
+    from hatn_sim.traffic import found_out, open_traffic
 
     started = time.monotonic()
     _check_assist(arguments)
-    scenario = with_lines_from(with_driving(chosen_scenario(arguments), arguments), arguments)
+    scenario = with_driving(chosen_scenario(arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     given: Path | None = arguments.assist_settings
     arguments.assist = AssistSettings() if given is None else read_assist_settings(given)
@@ -165,16 +166,19 @@ def main(arguments: argparse.Namespace) -> int:
         wanted, arguments.weights, arguments.adapt, arguments.quiet, advised
     )
     drivers = _load_drivers(arguments)
+    with drawing_lines(None, arguments.quiet) as drawing:
+        scenario, why = with_lines_for(scenario, predictors, arguments, drawing)
     fitted = _fitted_choice(arguments, scenario, predictors)
     choice = None if fitted is None else fitted.choice
     header = make_header(arguments, scenario, predictors, choice_header(fitted))
+    scenario = with_lines_said(scenario, choice is not None, why)
     where = ""
     try:
         with closing(open_traffic(scenario)) as simulator:
             first = simulator.reset(arguments.seed or 0)
             if choice is not None:
                 choose_lines_by(simulator.road, choice)
-            header["settings"]["ids_by"] = ids_by(simulator)
+            header["settings"] |= found_out(simulator)
             if not arguments.quiet:
                 for notice in simulator.notices:
                     print(f"hatn-sim: {notice}", file=sys.stderr)
@@ -187,9 +191,10 @@ def main(arguments: argparse.Namespace) -> int:
                 writer.close(timing=timing | {"frames": done.frames})
         return _finish(arguments, out, done, started)
     except KeyboardInterrupt:
-        print(f"hatn-sim: interrupted{where}", file=sys.stderr)
+        print(f"hatn-sim: interrupted{where if out.exists() else ''}", file=sys.stderr)
         return 130
     except SimulatorError as error:
+        where = where if out.exists() else ""
         raise SimulatorError(f"{error}; repeat with `{header['command']}`{where}") from None
 
 

@@ -128,10 +128,8 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
         words += ["--react-from", f"{arguments.react_from:g}"]
     if arguments.drive is not None:
         words += ["--drive", arguments.drive, "--agent", arguments.agent]
-    if arguments.lines_from != "lanes":
-        words += ["--lines-from", arguments.lines_from]
-    if arguments.choice_from != "weights":
-        words += ["--choice-from", arguments.choice_from]
+    if scenario.recorded is not None and scenario.recorded.map_path is not None:
+        words += ["--lines-from", arguments.lines_from, "--choice-from", arguments.choice_from]
     if scenario.density is not None:
         words += ["--density", scenario.density]
     if scenario.risk is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -148,6 +149,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _split(arguments: argparse.Namespace) -> Split:
+    from hatn_sim.commands.line_choices import drawing_lines
     from hatn_sim.errors import InputError
     from hatn_sim.learn.split import make_split, traffic_of_tracks
     from hatn_sim.learn.split_file import read_split
@@ -160,7 +162,8 @@ def _split(arguments: argparse.Namespace) -> Split:
     if arguments.split is not None:
         for name in sorted(given):
             raise InputError(f"--{name}: --split names all traffic; leave one of them out")
-        return read_split(arguments.split)
+        with drawing_lines(arguments.cache, arguments.quiet) as drawing:
+            return read_split(arguments.split, drawing)
     if arguments.tracks is None:
         for name in OF_TRACKS:
             if name in given:
@@ -169,14 +172,52 @@ def _split(arguments: argparse.Namespace) -> Split:
     for name in OF_SCENES:
         if name in given:
             raise InputError(f"--{name} is for scenes; leave it out with --tracks, or use --split")
-    for name in ("recordings", "tune"):
-        if name not in given:
-            raise InputError(f"--tracks: add --{name} 000-014, those to learn from and to tune on")
-    parts = {
-        part: traffic_of_tracks(arguments.tracks, arguments.map, wanted, arguments.lines_from)
-        for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
-    }
+    if not {"recordings", "tune"} <= given:
+        raise InputError(f"--tracks: {_parts_missing(arguments)}")
+    tracks, map_path, lines = arguments.tracks, arguments.map, arguments.lines_from
+    with drawing_lines(arguments.cache, arguments.quiet) as drawing:
+        parts = {
+            part: traffic_of_tracks(tracks, map_path, wanted, lines, drawing)
+            for part, wanted in (("train", arguments.recordings), ("tune", arguments.tune))
+        }
     return make_split(parts, {"train": "--recordings", "tune": "--tune"})
+
+
+def _parts_missing(arguments: argparse.Namespace) -> str:
+    """What to add so that some recordings are learnt from and others tuned on."""
+    from hatn_sim.config import load_tracks, recording_names
+    from hatn_sim.recordings.interaction.files import group_files
+
+    source = load_tracks(arguments.tracks, arguments.map, ()).recorded
+    assert source is not None
+    every = [one.name for one in group_files(source.tracks, ())]
+    learnt, tuned = (recording_names(text or "") for text in (arguments.recordings, arguments.tune))
+    rest = [name for name in every if name not in (*learnt, *tuned)]
+    few = max(1, min(2, len(rest) // 4))
+    what = "recordings to learn from and others to tune on"
+    if learnt and rest:
+        return f"expected {what}; add --tune {_span(rest[:few])}"
+    if tuned and rest:
+        return f"expected {what}; add --recordings {_span(rest)}"
+    if len(every) < 2:
+        return f"expected {what}, found {len(every)}; name more with --tracks"
+    last = max(1, min(2, len(every) // 4))
+    instead = "say" if learnt or tuned else "add"
+    return (
+        f"expected {what}; {instead} --recordings {_span(every[:-last])} "
+        f"--tune {_span(every[-last:])}"
+    )
+
+
+def _span(names: Sequence[str]) -> str:
+    """Names of recordings as the options take them, `000-014` where they follow each other."""
+    from hatn_sim.config import recording_names
+
+    if len(names) > 1 and all(name.isdecimal() for name in names):
+        span = f"{names[0]}-{names[-1]}"
+        if recording_names(span) == tuple(names):
+            return span
+    return ",".join(names)
 
 
 def _split_of_scenes(arguments: argparse.Namespace) -> Split:
@@ -214,11 +255,10 @@ def _split_of_scenes(arguments: argparse.Namespace) -> Split:
 
 
 def _cache(arguments: argparse.Namespace) -> SampleCache:
-    from hatn_sim.learn.cache import SampleCache, default_folder
+    from hatn_sim.learn.cache import SampleCache
+    from hatn_sim.learn.kept import SAMPLES, folder_for
 
-    if arguments.cache == "none":
-        return SampleCache(None)
-    return SampleCache(default_folder() if arguments.cache is None else Path(arguments.cache))
+    return SampleCache(folder_for(SAMPLES, arguments.cache))
 
 
 def _forms(arguments: argparse.Namespace) -> dict[str, TrainingSettings]:

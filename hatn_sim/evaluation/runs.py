@@ -26,12 +26,10 @@ from hatn_sim.loop import Adviser, LineSource, run, warm_up
 from hatn_sim.perception import choose_lines_by
 from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
 from hatn_sim.simulators.sumo_config import named_files
-from hatn_sim.traffic import ids_by, open_traffic
+from hatn_sim.traffic import found_out, open_traffic
 
-FOUND_OUT: Final = "ids_by"
-"""Of a header's settings: known once the traffic has been opened."""
-UNCOMPARED: Final = ("command", f"settings.{FOUND_OUT}")
-"""What of a header may differ in a run that is used again."""
+UNCOMPARED: Final = ("command", "settings.ids_by", "settings.doubts")
+"""What of a header may differ in a run that is used again, or is known of opened traffic alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +139,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
         first = warm_up(simulator, first, round(plan.warm_up_s / simulator.dt_s))
         if plan.choice is not None:
             choose_lines_by(simulator.road, plan.choice)
-        settings = {**plan.header["settings"], FOUND_OUT: ids_by(simulator)}
+        settings = {**plan.header["settings"], **found_out(simulator)}
         total = plan.frames
         with RunWriter(plan.out, {**plan.header, "settings": settings}) as writer:
             write_road(plan.out / ROAD_FILE, simulator.road.lanes.values())

@@ -11,11 +11,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -25,9 +23,9 @@ import numpy as np
 from hatn_sim.config import Scenario
 from hatn_sim.learn.content import content_hash
 from hatn_sim.learn.dataset import Samples
+from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.split import Traffic
 from hatn_sim.recordings.each import own_cases, own_files
-from hatn_sim.resources import PACKAGE_DIR
 from hatn_sim.simulators.sumo_config import named_files, read_sumocfg
 from hatn_sim.whole_file import write_whole
 
@@ -35,34 +33,6 @@ LARGEST_BYTES: Final = 20 * 2**30
 """Of the folder: beyond that, those not used for longest go."""
 SUFFIX: Final = ".npz"
 DEPENDS_ON: Final = ("numpy", "scipy", "libsumo", "highway-env", "pyproj")
-NO_PART_IN_SAMPLES: Final = (
-    "assist",
-    "commands",
-    "evaluation",
-    "predictors",
-    "report",
-    "score",
-    "whole_file",
-    "bench",
-    "cli",
-    "hatn/",
-    "learn/",
-    "_data/",
-)
-"""Beginnings of the package's files whose change leaves samples as they are ..."""
-BUT: Final = ("hatn/inputs", "hatn/weights/line_choice", "learn/dataset", "learn/sources")
-"""... and those among them that have a part after all."""
-
-
-def default_folder() -> Path:
-    """Where this system keeps what can be made again."""
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "hatn_sim" / "samples"
 
 
 @dataclass(frozen=True)
@@ -143,18 +113,6 @@ def key_of(traffic: Traffic) -> str:
         "versions": {name: _version(name) for name in DEPENDS_ON},
     }
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
-
-
-@cache
-def source_version(everything: bool = False) -> str:
-    """The hash of the source of all that has a part in making samples, or of `everything`."""
-    total = hashlib.sha256()
-    for path in sorted(PACKAGE_DIR.rglob("*")):
-        name = path.relative_to(PACKAGE_DIR).as_posix()
-        ours = everything or name.startswith(BUT) or not name.startswith(NO_PART_IN_SAMPLES)
-        if ours and path.is_file() and "__pycache__" not in name:
-            total.update(f"{name} {content_hash(path)}\n".encode())
-    return total.hexdigest()
 
 
 def _files_of(scenario: Scenario) -> Iterator[Path]:

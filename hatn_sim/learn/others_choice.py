@@ -28,7 +28,8 @@ import torch
 from hatn_sim.config import Scenario
 from hatn_sim.errors import InputError
 from hatn_sim.evaluation.pool import Teller, work_on
-from hatn_sim.learn.cache import key_of, source_version
+from hatn_sim.learn.cache import key_of
+from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.line_choice import choice_figures, fit_line_choice, right_candidates
 from hatn_sim.learn.line_samples import ChoiceSamples, choice_samples, joined
 from hatn_sim.learn.sources import named, played
@@ -123,7 +124,8 @@ def choices_of_others(
     for number, made in work_on(_fit, fits, workers, lambda *_: None):
         name = missing[number]
         found[name] = replace(made, recordings=tuple(_recording(one) for one in jobs[name]))
-        _write(files[name], found[name])
+        if (trouble := _write(files[name], found[name])) is not None:
+            watch.say(trouble)
     shared = {name: found[group[0]] for group in groups.values() for name in group}
     for first, *more in groups.values():
         watch.say(_said([first, *more], found[first]))
@@ -247,12 +249,17 @@ def _read(path: Path | None) -> OthersChoice | None:
         return None
 
 
-def _write(path: Path | None, found: OthersChoice) -> None:
+def _write(path: Path | None, found: OthersChoice) -> str | None:
+    """Keep what was found; a line for the user where it could not be."""
     if path is None:
-        return
+        return None
     choice = found.choice
     weights = None
     if choice is not None:
         weights = {name: one.tolist() for name, one in choice.to_arrays().items()}
     text = json.dumps({"about": found.about(), "weights": weights}, indent=1) + "\n"
-    save_whole(path, text)
+    try:
+        save_whole(path, text)
+    except InputError as error:
+        return f"{error}; until then choices of lines are not kept"
+    return None

@@ -17,6 +17,7 @@ from hatn_sim.learn.content import content_hash
 from hatn_sim.line_choice import LineChoice
 from hatn_sim.log import read_run
 from hatn_sim.recordings.each import each_recording, own_cases, own_files
+from hatn_sim.recordings.track_lines.source import Drawing
 from hatn_sim.resources import find_scenarios
 
 PARTS: Final = ("train", "tune", "test")
@@ -119,18 +120,22 @@ def traffic_of_scenes(
 
 
 def traffic_of_tracks(
-    patterns: Sequence[str], map_path: Path | None, recordings: str = "", lines: str = "auto"
+    patterns: Sequence[str],
+    map_path: Path | None,
+    recordings: str = "",
+    lines: str = "auto",
+    drawing: Drawing | None = None,
 ) -> list[Traffic]:
     """Every recording of some tracks; `recordings` names those wanted, as `000-014`: else all.
 
     `lines`: reference lines along the "lanes" of the map, along those drawn from the "tracks" of
-    other recordings, or "auto", from tracks where there are enough.
+    other recordings, or "auto", from tracks where there are enough; `drawing`: how these are.
 
     Raises InputError as `load_tracks` and `with_track_lines` do.
     """
     whole = load_tracks(patterns, map_path, recording_names(recordings))
     found: list[Traffic] = []
-    for name, scenario in each_recording(whole, lines).items():
+    for name, scenario in each_recording(whole, lines, drawing).items():
         assert scenario.recorded is not None
         files = own_files(scenario.recorded)
         cases = frozenset(own_cases(scenario.recorded))

@@ -35,6 +35,7 @@ from hatn_sim.learn.split import (
     traffic_of_scenes,
     traffic_of_tracks,
 )
+from hatn_sim.recordings.track_lines.source import Drawing
 from hatn_sim.resources import find_scenarios
 
 KEYS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -46,9 +47,11 @@ KEYS: Final[Mapping[str, tuple[str, ...]]] = {
 LINES: Final = ("lanes", "tracks", "auto")
 
 
-def read_split(path: Path) -> Split:
-    """The split that a file names. Raises InputError for every fault in it, and where it overlaps
-    itself."""
+def read_split(path: Path, drawing: Drawing | None = None) -> Split:
+    """The split that a file names; `drawing`: how its lines are drawn.
+
+    Raises InputError for every fault in it, and where it overlaps itself.
+    """
     content = read_toml(path)
     for name in content:
         if name not in PARTS:
@@ -60,7 +63,7 @@ def read_split(path: Path) -> Split:
         parts[name] = [
             one
             for k, table in enumerate(tables, start=1)
-            for one in _traffic(path, f"{name} {k}", table)
+            for one in _traffic(path, f"{name} {k}", table, drawing)
         ]
     return make_split(parts, {name: f"{path}: [[{name}]]" for name in PARTS})
 
@@ -77,7 +80,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}; correct the file") from None
 
 
-def _traffic(path: Path, where: str, table: Any) -> list[Traffic]:
+def _traffic(path: Path, where: str, table: Any, drawing: Drawing | None) -> list[Traffic]:
     """The traffic of one table."""
     kind = next((key for key in KEYS if key in table), None) if isinstance(table, dict) else None
     if kind is None:
@@ -96,6 +99,7 @@ def _traffic(path: Path, where: str, table: Any) -> list[Traffic]:
             folder / values.text("map"),
             values.text("recordings", ""),
             values.choice("lines", LINES, "auto"),
+            drawing,
         )
     shipped = find_scenarios()
     scenes = [word if word in shipped else _beside(folder, word) for word in values.texts("scenes")]

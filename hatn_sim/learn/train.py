@@ -31,9 +31,10 @@ from hatn_sim.hatn.weights_io import (
     save_weights,
 )
 from hatn_sim.learn import edn_training
-from hatn_sim.learn.cache import SampleCache, key_of, source_version
+from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.fit import Figures, FitSettings, LossError, Workplace, fit
+from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.settings import TrainingSettings
 from hatn_sim.learn.sgn_training import Fit, predicted_profiles, train_sgn
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites

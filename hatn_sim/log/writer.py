@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -69,7 +70,10 @@ class RunWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        """Leave no folder behind where an error came before the first frame."""
         self.close(finished=kind is None)
+        if kind is not None and not self._written_frames:
+            shutil.rmtree(self._out, ignore_errors=True)
 
     def write(self, frame_index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
         """Add a frame; `advice` by predictor, the main one first, whose suggestions are logged.

@@ -15,16 +15,18 @@ from typing import Final
 from hatn_sim.config import RecordedSource, Scenario
 from hatn_sim.recordings.interaction.files import group_files
 from hatn_sim.recordings.interaction.table import InteractionTable
-from hatn_sim.recordings.track_lines.source import other_recordings, with_track_lines
+from hatn_sim.recordings.track_lines.source import Drawing, other_recordings, with_track_lines
 
 GROUPS: Final = 5
 
 
-def each_recording(scenario: Scenario, lines: str) -> dict[str, Scenario]:
+def each_recording(
+    scenario: Scenario, lines: str, drawing: Drawing | None = None
+) -> dict[str, Scenario]:
     """A scene for each recording of recorded tracks, by name, in order.
 
     One for each file where files have cases, or for all of them where some cases were chosen.
-    `lines`: what reference lines are drawn along, see `track_lines.source.with_track_lines`. The
+    `lines`, `drawing`: of reference lines, see `track_lines.source.with_track_lines`. The
     tracks of each scene are its own and those that its lines come from.
 
     Raises InputError where a recording is wanted that is not there, or files are at fault.
@@ -32,7 +34,7 @@ def each_recording(scenario: Scenario, lines: str) -> dict[str, Scenario]:
     source = scenario.recorded
     assert source is not None
     if _is_interaction(source) and not _has_cases(source):
-        return _with_lines_of_others(scenario, source, lines)
+        return _with_lines_of_others(scenario, source, lines, drawing)
     if _is_interaction(source):
         alone = {one.name: one.paths for one in group_files(source.tracks, ())}
         if source.recordings:
@@ -63,7 +65,7 @@ def own_cases(source: RecordedSource) -> tuple[str, ...]:
 
 
 def _with_lines_of_others(
-    scenario: Scenario, source: RecordedSource, lines: str
+    scenario: Scenario, source: RecordedSource, lines: str, drawing: Drawing | None
 ) -> dict[str, Scenario]:
     """Recordings in INTERACTION format, each with lines from those of the other groups."""
     every = {one.name: one.paths for one in group_files(source.tracks, ())}
@@ -75,7 +77,7 @@ def _with_lines_of_others(
         files = {path for one in (name, *others) for path in every[one]}
         named = tuple(path for path in source.tracks if path in files)
         alone = replace(scenario, recorded=replace(source, tracks=named, recordings=(name,)))
-        scenes[name] = with_track_lines(alone, other_recordings(alone), lines)
+        scenes[name] = with_track_lines(alone, other_recordings(alone), lines, drawing)
     return scenes
 
 

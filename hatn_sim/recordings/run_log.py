@@ -39,6 +39,10 @@ class RunRecording:
         return (f"{self._run.path} is of an unfinished run: its first {seconds:.1f} s are played",)
 
     @property
+    def doubts(self) -> tuple[str, ...]:
+        return tuple(self._run.header.get("settings", {}).get("doubts", ()))
+
+    @property
     def ids_by(self) -> str:
         return self._run.ids_by
 

@@ -21,8 +21,8 @@ BASELINE = "constant_velocity"
 TITLES = {
     "ade_3s": "ADE 3 s",
     "fde_3s": "FDE 3 s",
-    "ade_0s3": "ADE 0.3 s",
-    "fde_0s3": "FDE 0.3 s",
+    "ade_0s3": "ADE 0.3 s, mm",
+    "fde_0s3": "FDE 0.3 s, mm",
     "goal_error": "goal error",
     "fallback_share": "fallback",
     "slot_accuracy": "slot accuracy",
@@ -37,6 +37,8 @@ TITLES = {
     "goal_coverage_90": "in 90 %",
     "slot_brier": "slot Brier",
 }
+IN_MILLIMETRES = ("ade_0s3", "fde_0s3")
+"""In tables; in JSON all errors are in metres."""
 ERRORS = ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "goal_error")
 SLOTS = (
     "slot_accuracy",
@@ -169,13 +171,14 @@ def _count(row: Sequence[Score | None]) -> str:
 def _error_cell(score: Score | None, base: Score | None) -> str:
     if score is None or score.value is None:
         return NONE
-    cell = _metres(score.value)
+    shown = _millimetres if score.measure in IN_MILLIMETRES else _metres
+    cell = shown(score.value)
     if base is not None and base.value and base is not score:
         cell += f" x{score.value / base.value:.2f}"
     if score.std is not None:
-        cell += f"\n± {_metres(score.std)}"
+        cell += f"\n± {shown(score.std)}"
     if score.low is not None and score.high is not None:
-        cell += f"\n[{_metres(score.low)} {_metres(score.high)}]"
+        cell += f"\n[{shown(score.low)} {shown(score.high)}]"
     return cell
 
 
@@ -187,6 +190,10 @@ def _plain_cell(score: Score | None) -> str:
 
 def _metres(value: float) -> str:
     return f"{value:.3f}" if value < 10.0 else f"{value:.2f}"
+
+
+def _millimetres(value_m: float) -> str:
+    return f"{1000.0 * value_m:.1f}"
 
 
 def _share_cell(score: Score | None, interval: bool = True) -> str:

@@ -59,15 +59,19 @@ class FcdRecording:
     @property
     def notices(self) -> tuple[str, ...]:
         """What the recording lacks. Reads the beginning of the file; raises as `frames` does."""
-        return self._checked
+        return self._checked[0]
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        return self._checked[1]
 
     @cached_property
     def _lanes(self) -> list[Lane]:
         return read_lanes(self._map_path)
 
     @cached_property
-    def _checked(self) -> tuple[str, ...]:
-        """The beginning of the file is looked at once; its notices."""
+    def _checked(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The beginning of the file is looked at once; all notices, and those on the map alone."""
         head = list(first_moments(self._moments()))
         if not any(moment.scene.ids for moment in head):
             raise InputError(
@@ -77,7 +81,8 @@ class FcdRecording:
         check_speeds(self._path, head)
         off_net = check_net(self._path, self._map_path, self.lanes, head)
         notices = lacks(head, self._types, self.lanes)
-        return tuple(notices if off_net is None else [*notices, off_net])
+        doubts = () if off_net is None else (off_net,)
+        return (*notices, *doubts), doubts
 
     def frames(self) -> Iterator[Frame]:
         """The frames, 0.1 s apart, empty ones where the file leaves moments without vehicles out.

@@ -58,7 +58,7 @@ class InteractionRecording:
         self._map_path = source.map_path
         self._drawn, self._lines_notice = source.drawn, source.lines_notice
         self._recordings = group_files(source.tracks, ())
-        self._found: dict[str, None] = {}  # notices on what has been read, in order
+        self._doubts: dict[str, None] = {}  # on what has been read, in order
         paths = [path for recorded in self._recordings for path in recorded.paths]
         with_cases = [path for path in paths if InteractionTable(path).has_cases]
         if with_cases and len(with_cases) < len(paths):
@@ -102,14 +102,15 @@ class InteractionRecording:
         if beside:
             more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
             notices.append(f"read along with the vehicles: {', '.join(beside[:3])}{more}")
-        if self._drawn is not None:
-            notices.append(
-                f"reference lines drawn from {self._drawn.vehicles} vehicles of "
-                f"{len(self._drawn.recordings)} other recordings; where none drove, the map's lanes"
-            )
         if self._lines_notice:
             notices.append(self._lines_notice)
-        return [*notices, *self._found]
+        elif self._drawn is not None:
+            notices.append(f"reference lines drawn from {self._drawn.words}")
+        return [*notices, *self._doubts]
+
+    @property
+    def doubts(self) -> Sequence[str]:
+        return list(self._doubts)
 
     def frames(self) -> Iterator[Frame]:
         """The frames from the beginning.
@@ -153,7 +154,7 @@ class InteractionRecording:
             with Spool(ROW) as spool:
                 found = scan(recorded, self._cases, self._map_lanes, self._map_path, spool)
                 known += found.cases
-                self._found.update(dict.fromkeys(found.notices))
+                self._doubts.update(dict.fromkeys(found.doubts))
                 if recorded is self._recordings[-1]:
                     refuse_unknown(recorded.paths[0], self._cases, known)
                 starts = _starts(found.parts, free, self._has_cases)

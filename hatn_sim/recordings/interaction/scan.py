@@ -14,10 +14,11 @@ import numpy as np
 
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Lane
 from hatn_sim.errors import InputError
-from hatn_sim.recordings.fit import distance_to_lanes_m
+from hatn_sim.recordings.fit import check_place, distance_to_lanes_m
 from hatn_sim.recordings.interaction.files import Recorded, among, read_ids
 from hatn_sim.recordings.interaction.spool import Spool
 from hatn_sim.recordings.interaction.table import InteractionTable, Rows
+from hatn_sim.recordings.lanelet2.rules import MOTOR
 
 BUCKET_FRAMES: Final = 600
 BUCKET_PARTS: Final = 256
@@ -48,7 +49,7 @@ class Scan:
     track_part: IntArray
     parts: list[Part]
     cases: list[str]  # of the files, where some were to be chosen
-    notices: list[str]
+    doubts: list[str]  # whether the map fits
 
 
 def scan(
@@ -66,13 +67,13 @@ def scan(
     track_part: list[int] = []
     parts: list[Part] = []
     seen: list[str] = []
-    notices: list[str] = []
+    doubts: list[str] = []
     is_wanted = among(cases) if cases else None
     for path in recorded.paths:
         table = InteractionTable(path, is_wanted)
         first = np.zeros(0, dtype=np.int64)
         last = np.zeros(0, dtype=np.int64)
-        places: list[FloatArray] = [np.zeros((0, 2))]
+        places: list[FloatArray] = [np.zeros((0, 4))]
         for rows in table.rows():
             first, last = _spans(first, last, rows, len(table.parts))
             if sum(len(some) for some in places) < MOST_PLACES:
@@ -85,7 +86,7 @@ def scan(
         if path == recorded.paths[0]:
             # Of pedestrians, who are read after the vehicles, there may be none.
             _check_tracks(path, table, len(recorded.paths))
-        notices += _check_places(path, map_path, lanes, np.concatenate(places))
+        doubts += _check_places(path, map_path, lanes, np.concatenate(places))
         parts = _merged(path, parts, table, first, last)
         taken = set(track_names)
         # Pedestrians may be numbered as vehicles are.
@@ -93,7 +94,7 @@ def scan(
         track_names += [f"P{name}" if name in taken else name for name in ids]
         track_part += table.track_parts
         seen += table.cases
-    return Scan(track_names, np.array(track_part, dtype=np.int64), parts, seen, notices)
+    return Scan(track_names, np.array(track_part, dtype=np.int64), parts, seen, doubts)
 
 
 def _check_tracks(path: Path, table: InteractionTable, files: int) -> None:
@@ -137,15 +138,18 @@ def _merged(
 
 
 def _places(rows: Rows) -> FloatArray:
-    """Where drivers are, once a second."""
+    """Where drivers are, once a second: x, y, direction and kind."""
     seen = (rows["frame"] % LOOK_EVERY_FRAMES == 0) & (rows["kind"] != Kind.PEDESTRIAN)
-    return np.stack([rows["x_m"][seen], rows["y_m"][seen]], axis=1)
+    return np.stack([rows[name][seen] for name in ("x_m", "y_m", "yaw_rad", "kind")], axis=1)
 
 
-def _check_places(path: Path, map_path: Path, lanes: Sequence[Lane], xy_m: FloatArray) -> list[str]:
+def _check_places(
+    path: Path, map_path: Path, lanes: Sequence[Lane], places: FloatArray
+) -> list[str]:
     """A notice where places are beside the lanes. Raises InputError where they are off the map."""
-    if not len(xy_m):
+    if not len(places):
         return []
+    xy_m = places[:, :2]
     far_m = distance_to_lanes_m(lanes, xy_m)
     share = float((far_m > FAR_M).mean())
     if share > FAR_SHARE:
@@ -158,6 +162,10 @@ def _check_places(path: Path, map_path: Path, lanes: Sequence[Lane], xy_m: Float
             f"({on_map[0]:.0f}, {on_map[1]:.0f})): map and tracks seem not to belong together; "
             "give the map of this place"
         )
+    motor = places[np.isin(places[:, 3], list(MOTOR))]
+    doubt = check_place(path, map_path, lanes, motor[:, :2], motor[:, 2])
+    if doubt:
+        return [doubt]
     median_m = float(np.median(far_m))
     if median_m <= BESIDE_M:
         return []

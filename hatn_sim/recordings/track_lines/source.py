@@ -6,8 +6,8 @@ A recording under test never has a part in its own lines.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -17,9 +17,11 @@ import numpy as np
 from hatn_sim.config import DrawnLines, RecordedSource, Scenario
 from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError
+from hatn_sim.recordings.fit import check_place
 from hatn_sim.recordings.interaction.files import Recorded, group_files
 from hatn_sim.recordings.interaction.table import InteractionTable
 from hatn_sim.recordings.maps import read_lanes
+from hatn_sim.recordings.track_lines.kept import file_of, read_kept, write_kept
 from hatn_sim.recordings.track_lines.lanes import PREFIX, lanes_from_paths
 from hatn_sim.recordings.track_lines.paths import Path as DrivenPath
 from hatn_sim.recordings.track_lines.paths import driven_path
@@ -27,8 +29,17 @@ from hatn_sim.recordings.track_lines.read import read_tracks
 
 FEWEST_VEHICLES: Final = 40
 """With fewer in the other recordings, `auto` keeps to the lanes of the map."""
+_WHERE: Final = ("xy_m", "yaw_rad")
 _Stamp = tuple[Path, int, int]
 """A file as it is now: its path, time and size."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Where lines that were drawn are kept and found again, and who is told how far they are."""
+
+    keep: Path | None = None  # a folder; None: nowhere
+    tell: Callable[[int, int, str], object] = lambda done, total, words: None
 
 
 def other_recordings(scenario: Scenario) -> list[str]:
@@ -40,13 +51,15 @@ def other_recordings(scenario: Scenario) -> list[str]:
     return [one.name for one in group_files(source.tracks, ()) if one.name not in shown]
 
 
-def with_track_lines(scenario: Scenario, others: Sequence[str], lines: str = "auto") -> Scenario:
+def with_track_lines(
+    scenario: Scenario, others: Sequence[str], lines: str = "auto", drawing: Drawing | None = None
+) -> Scenario:
     """The scene with lines drawn from the tracks of other recordings among its files.
 
     Those that the scene shows are left out if they are among `others`. With "auto" the scene keeps
     the lanes of its map, and says so in a notice, where there is too little to draw lines from;
     what are no INTERACTION tracks stays as it is. With "lanes" nothing changes. Lines drawn once
-    from the same files are kept.
+    from the same files are kept, and beyond this process where `drawing` says.
 
     Raises:
         InputError: files are at fault; with "tracks" also where no lines can be drawn.
@@ -63,14 +76,16 @@ def with_track_lines(scenario: Scenario, others: Sequence[str], lines: str = "au
         raise InputError(f"{source.tracks[0]}: {reason}; leave --lines-from tracks out")
     shown = {one.name for one in group_files(source.tracks, source.recordings)}
     wanted = set(others) - shown
-    drawing = [one for one in group_files(source.tracks, ()) if one.name in wanted]
+    by_others = [one for one in group_files(source.tracks, ()) if one.name in wanted]
     assert source.map_path is not None
-    drawn = _drawn(tuple(drawing), _stamps(drawing), _stamp(source.map_path))
+    drawn = _drawn(
+        tuple(by_others), _stamps(by_others), _stamp(source.map_path), drawing or Drawing()
+    )
     is_drawn = any(lane.id.startswith(PREFIX) for lane in drawn.lanes)
     enough = is_drawn and (lines == "tracks" or drawn.vehicles >= FEWEST_VEHICLES)
     if enough:
         return replace(scenario, recorded=replace(source, drawn=drawn))
-    found = f"{drawn.vehicles} vehicles in {len(drawing)} other recordings of --tracks"
+    found = f"{drawn.vehicles} vehicles in {len(by_others)} other recordings of --tracks"
     if lines == "tracks":
         raise InputError(
             f"{source.tracks[0]}: expected vehicles that drove the same ways, to draw lines from, "
@@ -110,12 +125,29 @@ def _stamp(path: Path) -> _Stamp:
 
 @lru_cache(maxsize=16)
 def _drawn(
-    recordings: tuple[Recorded, ...], stamps: tuple[_Stamp, ...], map_stamp: _Stamp
+    recordings: tuple[Recorded, ...],
+    stamps: tuple[_Stamp, ...],
+    map_stamp: _Stamp,
+    drawing: Drawing,
 ) -> DrawnLines:
     """The lines from recordings on a map; the stamps tell whether files are still the same."""
-    paths = [path for one in recordings for path in _paths(one, _stamps([one]))]
-    lanes = lanes_from_paths(paths, read_lanes(map_stamp[0]))
     names = tuple(one.name for one in recordings)
+    file = file_of(drawing.keep, names, [path for path, *_ in (*stamps, map_stamp)])
+    if (kept := read_kept(file)) is not None:
+        return DrawnLines(tuple(kept.lanes), names, kept.vehicles, _hash(kept.lanes))
+    steps = len(recordings) + 1
+    paths: list[DrivenPath] = []
+    for done, one in enumerate(recordings):
+        drawing.tell(done, steps, f"reading {one.name}")
+        paths += _paths(one, _stamps([one]))
+    drawing.tell(len(recordings), steps, f"drawing from {len(paths)} vehicles")
+    of_map = read_lanes(map_stamp[0])
+    if paths:
+        xy_m, yaw_rad = (np.concatenate([getattr(one, k) for one in paths]) for k in _WHERE)
+        check_place(recordings[0].paths[0], map_stamp[0], of_map, xy_m, yaw_rad)
+    lanes = lanes_from_paths(paths, of_map)
+    write_kept(file, lanes, len(paths))
+    drawing.tell(steps, steps, f"drawn from {len(paths)} vehicles of {len(recordings)} recordings")
     return DrawnLines(tuple(lanes), names, len(paths), _hash(lanes))
 
 

@@ -1,0 +1,59 @@
+"""Where this system keeps what can be made again, and the version of the source that makes it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from hatn_sim.learn.content import content_hash
+from hatn_sim.resources import PACKAGE_DIR
+
+SAMPLES: Final = "samples"
+LINES: Final = "lines"
+"""Drawn from tracks, and the choices among them."""
+NO_PART_IN_SAMPLES: Final = (
+    "assist",
+    "commands",
+    "evaluation",
+    "predictors",
+    "report",
+    "score",
+    "whole_file",
+    "bench",
+    "cli",
+    "hatn/",
+    "learn/",
+    "_data/",
+)
+"""Beginnings of the package's files whose change leaves samples as they are ..."""
+BUT: Final = ("hatn/inputs", "hatn/weights/line_choice", "learn/dataset", "learn/sources")
+"""... and those among them that have a part after all."""
+
+
+def folder_for(kind: str, cache_option: str | None = None) -> Path | None:
+    """The folder for what is kept of a kind: a user's --cache, None for "none", or the system's."""
+    if cache_option is not None:
+        return None if cache_option == "none" else Path(cache_option)
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "hatn_sim" / kind
+
+
+@cache
+def source_version(everything: bool = False) -> str:
+    """The hash of the source of all that has a part in making samples, or of `everything`."""
+    total = hashlib.sha256()
+    for path in sorted(PACKAGE_DIR.rglob("*")):
+        name = path.relative_to(PACKAGE_DIR).as_posix()
+        ours = everything or name.startswith(BUT) or not name.startswith(NO_PART_IN_SAMPLES)
+        if ours and path.is_file() and "__pycache__" not in name:
+            total.update(f"{name} {content_hash(path)}\n".encode())
+    return total.hexdigest()
