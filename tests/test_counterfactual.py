@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hatn_sim import cli
-from hatn_sim.datatypes import DT_S, Branch, SafetyEvent
+from hatn_sim.datatypes import DT_S, Branch, FloatArray, SafetyEvent
 from hatn_sim.score.counterfactual import (
     CounterfactualSettings,
     concerning,
@@ -26,7 +27,7 @@ FRAMES = 51
 
 
 def branch(
-    speeds_mps: dict[str, np.ndarray],
+    speeds_mps: dict[str, FloatArray],
     starts_m: dict[str, tuple[float, float]],
     collisions: tuple[tuple[float, str, str], ...] = (),
 ) -> Branch:
@@ -49,8 +50,13 @@ def branch(
     )
 
 
-def constant(mps: float) -> np.ndarray:
+def constant(mps: float) -> FloatArray:
     return np.full(FRAMES, mps)
+
+
+def slowing(mps2: float, to_mps: float) -> FloatArray:
+    """From 10 m/s."""
+    return np.asarray(np.maximum(10.0 - mps2 * DT_S * np.arange(FRAMES), to_mps), np.float64)
 
 
 def event(tier: str, first: str = "a", second: str | None = "b") -> SafetyEvent:
@@ -89,7 +95,7 @@ def test_events_of_third_ones_do_not_count() -> None:
 def test_an_alert_obeyed() -> None:
     """The follower runs into the ego unless it goes on; then one on the next lane brakes."""
     starts = {"ego": (0.0, 0.0), "behind": (-20.0, 0.0), "aside": (-10.0, 8.0), "far": (0.0, 500.0)}
-    ramp = np.maximum(10.0 - 3.0 * DT_S * np.arange(FRAMES), 4.0)
+    ramp = slowing(3.0, 4.0)
     ignored = branch(
         {"ego": constant(2.0), "behind": constant(10.0), "aside": constant(10.0), "far": ramp},
         starts,
@@ -120,7 +126,7 @@ def test_costs_by_hand() -> None:
     slow, fast = (
         branch({"ego": constant(mps), "behind": behind}, starts)
         for mps, behind in (
-            (5.0, np.maximum(10.0 - 4.0 * DT_S * np.arange(FRAMES), 5.0)),
+            (5.0, slowing(4.0, 5.0)),
             (10.0, constant(10.0)),
         )
     )
@@ -147,7 +153,7 @@ def test_a_contact_costs_most_and_nobody_near_is_no_gap() -> None:
 
 
 def test_when_the_offender_first_did_otherwise() -> None:
-    lawful = np.maximum(10.0 - 2.0 * DT_S * np.arange(FRAMES), 0.0)
+    lawful = slowing(2.0, 0.0)
     starts = {"a": (0.0, 0.0)}
     one, other = branch({"a": constant(10.0)}, starts), branch({"a": lawful}, starts)
     assert first_difference_s(one, other, "a") == pytest.approx(100.3)  # 0.6 m/s after 0.3 s
@@ -162,7 +168,7 @@ def test_samples_have_their_rate_and_repeat() -> None:
 
 
 def test_the_tally() -> None:
-    def suggestion(own: float, driver_slot: str | None) -> dict[str, object]:
+    def suggestion(own: float, driver_slot: str | None) -> dict[str, Any]:
         slots = {
             "about": "suggestion",
             "lost": False,
