@@ -32,14 +32,16 @@ def branch(
     collisions: tuple[tuple[float, str, str], ...] = (),
 ) -> Branch:
     """Cars of 5 m x 2 m, all driving east from their starts; speeds [B], trapezoids between."""
-    speed = np.array(list(speeds_mps.values())).T
-    way = np.zeros_like(speed)
+    speed = np.array(list(speeds_mps.values()), np.float64).T
+    way = np.zeros(speed.shape)
     way[1:] = np.cumsum(0.5 * DT_S * (speed[1:] + speed[:-1]), axis=0)
     start = np.array([starts_m[name] for name in speeds_mps])
-    xy_m = np.stack((start[:, 0] + way, np.broadcast_to(start[:, 1], way.shape)), axis=-1)
+    xy_m = np.stack(
+        (start[:, 0] + way, np.broadcast_to(start[:, 1], way.shape)), axis=-1, dtype=np.float64
+    )
     return Branch(
         ids=tuple(speeds_mps),
-        time_s=100.0 + DT_S * np.arange(len(speed)),
+        time_s=np.asarray(100.0 + DT_S * np.arange(len(speed)), np.float64),
         valid=np.ones(speed.shape, np.bool_),
         xy_m=xy_m,
         yaw_rad=np.zeros(speed.shape),
@@ -51,7 +53,7 @@ def branch(
 
 
 def constant(mps: float) -> FloatArray:
-    return np.full(FRAMES, mps)
+    return np.full(FRAMES, mps, np.float64)
 
 
 def slowing(mps2: float, to_mps: float) -> FloatArray:
