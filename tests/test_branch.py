@@ -109,7 +109,7 @@ def test_commanded_vehicles() -> None:
 
         frames = [simulator.step(command(step)) for step in range(60)]
         speed_mps = {
-            name: np.array([f.scene.speed_mps[f.scene.ids.index(name)] for f in frames])
+            name: np.array([f.scene.speed_mps[f.scene.ids.index(name)] for f in frames], np.float64)
             for name in (ego, other)
         }
 
@@ -123,7 +123,7 @@ def test_commanded_vehicles() -> None:
         frame = after(simulator, 400)
         for step in range(30):
             frame = simulator.step(command(step))
-        futures = simulator.branch([[], [Plan(ego, 1.0, np.full(20, 3.0))]], 5.0)
+        futures = simulator.branch([[], [Plan(ego, 1.0, np.full(20, 3.0, np.float64))]], 5.0)
         released, planned = (future.result() for future in futures)
         assert released is not None and planned is not None
         assert_same(released, 0, frame)

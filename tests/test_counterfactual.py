@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hatn_sim import cli
-from hatn_sim.datatypes import DT_S, Branch, SafetyEvent
+from hatn_sim.datatypes import DT_S, Branch, FloatArray, SafetyEvent
 from hatn_sim.score.counterfactual import (
     CounterfactualSettings,
     concerning,
@@ -26,19 +27,21 @@ FRAMES = 51
 
 
 def branch(
-    speeds_mps: dict[str, np.ndarray],
+    speeds_mps: dict[str, FloatArray],
     starts_m: dict[str, tuple[float, float]],
     collisions: tuple[tuple[float, str, str], ...] = (),
 ) -> Branch:
     """Cars of 5 m x 2 m, all driving east from their starts; speeds [B], trapezoids between."""
-    speed = np.array(list(speeds_mps.values())).T
-    way = np.zeros_like(speed)
+    speed = np.array(list(speeds_mps.values()), np.float64).T
+    way = np.zeros(speed.shape)
     way[1:] = np.cumsum(0.5 * DT_S * (speed[1:] + speed[:-1]), axis=0)
     start = np.array([starts_m[name] for name in speeds_mps])
-    xy_m = np.stack((start[:, 0] + way, np.broadcast_to(start[:, 1], way.shape)), axis=-1)
+    xy_m = np.stack(
+        (start[:, 0] + way, np.broadcast_to(start[:, 1], way.shape)), axis=-1, dtype=np.float64
+    )
     return Branch(
         ids=tuple(speeds_mps),
-        time_s=100.0 + DT_S * np.arange(len(speed)),
+        time_s=np.asarray(100.0 + DT_S * np.arange(len(speed)), np.float64),
         valid=np.ones(speed.shape, np.bool_),
         xy_m=xy_m,
         yaw_rad=np.zeros(speed.shape),
@@ -49,8 +52,13 @@ def branch(
     )
 
 
-def constant(mps: float) -> np.ndarray:
-    return np.full(FRAMES, mps)
+def constant(mps: float) -> FloatArray:
+    return np.full(FRAMES, mps, np.float64)
+
+
+def slowing(mps2: float, to_mps: float) -> FloatArray:
+    """From 10 m/s."""
+    return np.asarray(np.maximum(10.0 - mps2 * DT_S * np.arange(FRAMES), to_mps), np.float64)
 
 
 def event(tier: str, first: str = "a", second: str | None = "b") -> SafetyEvent:
@@ -89,7 +97,7 @@ def test_events_of_third_ones_do_not_count() -> None:
 def test_an_alert_obeyed() -> None:
     """The follower runs into the ego unless it goes on; then one on the next lane brakes."""
     starts = {"ego": (0.0, 0.0), "behind": (-20.0, 0.0), "aside": (-10.0, 8.0), "far": (0.0, 500.0)}
-    ramp = np.maximum(10.0 - 3.0 * DT_S * np.arange(FRAMES), 4.0)
+    ramp = slowing(3.0, 4.0)
     ignored = branch(
         {"ego": constant(2.0), "behind": constant(10.0), "aside": constant(10.0), "far": ramp},
         starts,
@@ -120,7 +128,7 @@ def test_costs_by_hand() -> None:
     slow, fast = (
         branch({"ego": constant(mps), "behind": behind}, starts)
         for mps, behind in (
-            (5.0, np.maximum(10.0 - 4.0 * DT_S * np.arange(FRAMES), 5.0)),
+            (5.0, slowing(4.0, 5.0)),
             (10.0, constant(10.0)),
         )
     )
@@ -147,7 +155,7 @@ def test_a_contact_costs_most_and_nobody_near_is_no_gap() -> None:
 
 
 def test_when_the_offender_first_did_otherwise() -> None:
-    lawful = np.maximum(10.0 - 2.0 * DT_S * np.arange(FRAMES), 0.0)
+    lawful = slowing(2.0, 0.0)
     starts = {"a": (0.0, 0.0)}
     one, other = branch({"a": constant(10.0)}, starts), branch({"a": lawful}, starts)
     assert first_difference_s(one, other, "a") == pytest.approx(100.3)  # 0.6 m/s after 0.3 s
@@ -162,7 +170,7 @@ def test_samples_have_their_rate_and_repeat() -> None:
 
 
 def test_the_tally() -> None:
-    def suggestion(own: float, driver_slot: str | None) -> dict[str, object]:
+    def suggestion(own: float, driver_slot: str | None) -> dict[str, Any]:
         slots = {
             "about": "suggestion",
             "lost": False,
