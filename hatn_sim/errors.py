@@ -22,7 +22,7 @@ class SimulatorError(HatnSimError):
     """The simulator failed in the middle of a run. Exit code 1."""
 
 
-TOLD_NAMES = 20
+TOLD_NAMES = 40
 """Of a recording's thousands of vehicles not all are listed."""
 
 

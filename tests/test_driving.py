@@ -126,4 +126,4 @@ def test_a_run_replayed_inside_sumo(capsys: pytest.CaptureFixture[str]) -> None:
 def test_of_thousands_of_names_some_are_told() -> None:
     known = [f"{k:04}" for k in range(3000)]
     assert nearest("x", known[:20]) == "; known: " + ", ".join(known[:20])
-    assert nearest("x", known) == "; known: " + ", ".join(known[:20]) + " and 2,980 more"
+    assert nearest("x", known) == "; known: " + ", ".join(known[:40]) + " and 2,960 more"
