@@ -318,12 +318,10 @@ def test_some_vehicles_off_the_net_are_noticed(tmp_path: Path) -> None:
     content = steps(tenths(0, 30), ("a", "b")) + steps(tenths(30, 50), ("c",), y=-204.8)
     notice = recording(write(tmp_path / "f.xml", content)).notices[-1]
     assert "25.0% of the first 80 positions are more than 10 m from every lane" in notice
-    shifted = write(tmp_path / "f.xml", steps(tenths(0, 30), y=-7.3))
+    shifted = write(tmp_path / "f.xml", steps(tenths(0, 30), y=-9.8))
     played = recording(shifted)
-    assert played.notices[-1].startswith("vehicles are 2.6 m from the nearest lane's centre line")
+    assert played.notices[-1].startswith("vehicles are 5.0 m from the nearest lane's centre line")
     assert list(played.doubts) == [played.notices[-1]]
-    with pytest.raises(InputError, match=r"found 0% .* 5\.0 m off at the median"):
-        _ = recording(write(tmp_path / "f.xml", steps(tenths(0, 30), y=-9.8))).notices
 
 
 GOOD = steps(tenths(0, 30))

@@ -246,7 +246,7 @@ def test_the_command(
         (["--table", "adaptation", "--epochs", "1"], "--epochs is of no use to --table adaptation"),
         (
             ["--table", "edn", "--tracks", "a.csv"],
-            "; leave it out, or name recordings in a file: --sp",
+            "--tracks is of no use to --table edn; leave it out, or name recordings in a file: --s",
         ),
         (["--rows", "rows.json"], "--rows is of no use without --table"),
     ):

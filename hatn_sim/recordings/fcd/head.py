@@ -14,8 +14,7 @@ from hatn_sim.datatypes import DT_S, Kind, Lane, Scene
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.fcd.rows import Timestep
 from hatn_sim.recordings.fcd.vehicle_types import VehicleType, type_of
-from hatn_sim.recordings.fit import check_place, distance_to_lanes_m
-from hatn_sim.recordings.lanelet2.rules import MOTOR
+from hatn_sim.recordings.fit import distance_to_lanes_m
 
 HEAD_SAMPLES: Final = 2000
 """Positions of vehicles looked at before the first frame is given."""
@@ -88,17 +87,13 @@ def check_net(
             f"lane at the median, {worst_m:.0f} m at worst; check that it is the net of this "
             "recording, and that it was recorded without --fcd-output.utm"
         )
-    scenes = [(moment.scene, np.isin(moment.scene.kind, list(MOTOR))) for moment in head]
-    motor_xy_m = np.concatenate([scene.xy_m[motor] for scene, motor in scenes])
-    yaw_rad = np.concatenate([scene.yaw_rad[motor] for scene, motor in scenes])
-    doubt = check_place(path, map_path, lanes, motor_xy_m, yaw_rad)
     if median_m > ON_LANE_M:
         return (
             f"vehicles are {median_m:.1f} m from the nearest lane's centre line at the median, "
             f"{worst_m:.1f} m at worst: is {map_path.name} the net of this recording?"
         )
     if worst_m <= FAR_M:
-        return doubt or None
+        return None
     return (
         f"{np.mean(off_m > FAR_M):.1%} of the first {len(xy_m)} positions are more than "
         f"{FAR_M:.0f} m from every lane, {worst_m:.0f} m at worst: "

@@ -131,6 +131,9 @@ def _drawn(
     drawing: Drawing,
 ) -> DrawnLines:
     """The lines from recordings on a map; the stamps tell whether files are still the same."""
+    of_map = read_lanes(map_stamp[0])
+    if not recordings:
+        return DrawnLines(tuple(of_map), (), 0, _hash(of_map))
     names = tuple(one.name for one in recordings)
     file = file_of(drawing.keep, names, [path for path, *_ in (*stamps, map_stamp)])
     if (kept := read_kept(file)) is not None:
@@ -141,7 +144,6 @@ def _drawn(
         drawing.tell(done, steps, f"reading {one.name}")
         paths += _paths(one, _stamps([one]))
     drawing.tell(len(recordings), steps, f"drawing from {len(paths)} vehicles")
-    of_map = read_lanes(map_stamp[0])
     if paths:
         xy_m, yaw_rad = (np.concatenate([getattr(one, k) for one in paths]) for k in _WHERE)
         check_place(recordings[0].paths[0], map_stamp[0], of_map, xy_m, yaw_rad)
