@@ -245,6 +245,7 @@ def _as_run(
         egos=None,
         assist_settings=None,
         assist=AssistSettings(),
+        counterfactuals=None,
         net=None,
         react_from=None,
         drive=None,
