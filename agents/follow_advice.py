@@ -5,9 +5,11 @@ from __future__ import annotations
 from hatn_sim.datatypes import DT_S, Advice, Command, Scene
 from hatn_sim.road import Road
 
+AHEAD_FRAMES = 5
+
 
 class Agent:
-    """Takes the first step of every advised speed profile; a tick later there is a new one."""
+    """Goes for the speed advised half a second ahead; a tick later there is a new profile."""
 
     def init(self, road: Road) -> None:
         return None
@@ -18,5 +20,6 @@ class Agent:
         for suggestion in advice.suggestions:
             if suggestion.ego_id == ego_id and suggestion.profile_mps:
                 speed_mps = float(scene.speed_mps[scene.ids.index(ego_id)])
-                return None, Command(ego_id, (suggestion.profile_mps[0] - speed_mps) / DT_S)
+                wanted_mps = suggestion.profile_mps[AHEAD_FRAMES - 1]
+                return None, Command(ego_id, (wanted_mps - speed_mps) / (AHEAD_FRAMES * DT_S))
         return None, None

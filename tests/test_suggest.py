@@ -71,8 +71,8 @@ def test_a_yield_names_whom_to_let_go_and_when() -> None:
     assert (told.action, told.slot_id, told.feasible) == ("yield", "other", True)
     assert told.probability == pytest.approx(0.9)
     assert told.margin == pytest.approx(0.8)
-    # The other's rear bumper is out after 20 + 2.5 + 1 m at 8 m/s, and 0.3 s to spare.
-    assert told.text == "Yield to the silver car from the right; go after it in 3.2 s"
+    # The other's rear bumper is out after 20 + 2.5 + 1 m at 8 m/s, and 0.5 s to spare.
+    assert told.text == "Yield to the silver car from the right; go after it in 3.4 s"
     assert told.target_time_s >= 3.2
     assert len(told.profile_mps) == 50 and max(told.profile_mps) <= 10.0
     assert state.told["ego"].slot_id == "ego"

@@ -46,7 +46,7 @@ PLAUSIBLE_WEIGHT: Final = 0.1
 """Components of a goal distribution with less weight are not reckoned with."""
 PLAUSIBLE_STD: Final = 1.28
 """One in ten of a component goes farther than this many of its standard deviations."""
-LEAVE_MARGIN_S: Final = 0.3
+LEAVE_MARGIN_S: Final = 0.5
 """An area opens so long after whoever was let go has left it."""
 _ACCELERATION: Final = CONTEXT.index("acceleration_mps2 of the rear vehicle")
 

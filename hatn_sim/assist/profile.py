@@ -37,7 +37,7 @@ LAG_S: Final = 0.3
 """How long an acceleration lasts until it can be another."""
 SHORT_M: Final = 0.5
 """Who has to stop does so this far before the place."""
-SURE_S: Final = 1.0
+SURE_S: Final = 0.5
 """Until so long before an area opens, the vehicle can still stop before it within comfort."""
 FAR_S: Final = 60.0
 
