@@ -11,6 +11,7 @@ from typing import Final, ParamSpec, TypeVar
 
 import numpy as np
 
+from hatn_sim.bench_branch import BranchTiming, time_branches
 from hatn_sim.config import Scenario
 from hatn_sim.datatypes import Frame, Prediction, SemanticGraphs
 from hatn_sim.errors import InputError
@@ -75,6 +76,7 @@ class Bench:
     vehicles: float  # mean number in view
     steps: int
     timings: tuple[Timing, ...]
+    branch: BranchTiming | None  # None: this platform cannot branch
     peak_mb: float | None  # of this process, so far
     worker_peak_mb: float | None
 
@@ -117,6 +119,7 @@ def bench(scenario: Scenario, predictor: Hatn, vehicles: int, steps: int, seed: 
                 watch, mean_vehicles = _time_steps(simulator, predictor, frame, steps)
                 worker_pid = simulator.worker_pid
                 assert worker_pid is not None
+                can_branch = simulator.cannot_branch is None
                 return Bench(
                     scene=scenario.name,
                     scale=scale,
@@ -124,6 +127,7 @@ def bench(scenario: Scenario, predictor: Hatn, vehicles: int, steps: int, seed: 
                     vehicles=mean_vehicles,
                     steps=steps,
                     timings=watch.timings(),
+                    branch=time_branches(simulator) if can_branch else None,
                     peak_mb=peak_memory_mb("self"),
                     worker_peak_mb=peak_memory_mb(str(worker_pid)),
                 )

@@ -22,6 +22,7 @@ VERBS: Final = {
     "score": "print the scores of one or more runs again, pooled",
     "report": "draw a picture and an animation of a run",
     "export": "write the tracks of a run as INTERACTION or SUMO floating car data",
+    "assess": "judge alerts and suggestions over many runs by what really happened",
     "evaluate": "score predictors on many runs side by side, and print the tables of the paper",
     "net": "build a SUMO net from a Lanelet2 map or another map, in the map's own frame",
     "train": "train HATN on simulated or recorded traffic and write its weights",

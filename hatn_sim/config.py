@@ -13,7 +13,7 @@ from typing import Any
 
 from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError, nearest
-from hatn_sim.resources import find_scenarios
+from hatn_sim.resources import SUITES, find_scenarios
 from hatn_sim.simulators.sumo_config import check_sumocfg
 
 DEFAULT_DENSITY = "normal"
@@ -92,6 +92,7 @@ class Scenario:
     driver_paths: tuple[Path, ...] = ()  # those of all risk profiles; driver_path replaces them
     densities: tuple[str, ...] = ()
     risks: tuple[str, ...] = ()
+    suite: str | None = None  # one of resources.SUITES, where the scene is scripted for one
     card: Mapping[str, Any] = field(default_factory=dict[str, Any])  # measured figures, free-form
     is_user_config: bool = False  # a .sumocfg or tracks without a scenario.toml
     highway: HighwaySource | None = None  # with the simulator "highway"
@@ -195,8 +196,8 @@ def _load_sumocfg(path: Path, density: str | None, risk: str | None) -> Scenario
 
 
 def _load_toml(path: Path, density: str | None, risk: str | None) -> Scenario:
-    table = _Table(path, "", _read_toml(path))
-    common = ("name", "title", "description", "simulator", "card")
+    table = _Table(path, "", read_toml(path))
+    common = ("name", "title", "description", "simulator", "suite", "card")
     table.allow(*common, *{key for keys in KEYS_OF_SIMULATOR.values() for key in keys})
     simulator = table.choice("simulator", SIMULATORS)
     table.allow(*common, *KEYS_OF_SIMULATOR[simulator])
@@ -206,6 +207,7 @@ def _load_toml(path: Path, density: str | None, risk: str | None) -> Scenario:
         title=table.text("title"),
         description=table.text("description"),
         simulator=simulator,
+        suite=table.choice("suite", SUITES) if "suite" in table.values else None,
         card=table.sub("card").values,
     )
     if simulator == "recorded":
@@ -289,7 +291,8 @@ def seed_numbers(text: str, where: str = "") -> tuple[int, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """What is in a TOML file. Raises InputError where it cannot be read."""
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except OSError as error:

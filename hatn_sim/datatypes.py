@@ -214,6 +214,8 @@ class SemanticGraphs:
     rear_to_conflict_m: FloatArray  # [E, M] of the rear vehicle, along its line
     conflict_xy_m: FloatArray  # [E, M, 2] the conflict point on the ego's line
     conflict_type: IntArray  # [E, M] ConflictType
+    leader: IntArray  # [E] the vehicle ahead in the ego's corridor, -1: none
+    leader_gap_m: FloatArray  # [E] from bumper to bumper; 0 where there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,12 +243,13 @@ class Suggestion:
     time_s: float
     action: str  # "yield", "pass" or "abstain"
     slot_id: str | None  # the vehicle to pass before; on yield: the one to let go first
-    probability: float
-    margin: float  # to the second best slot
-    target_time_s: float  # from now until the ego is at the conflict
-    advised_speed_mps: float
+    probability: float  # that the ego takes this slot
+    margin: float  # to the most probable of the other slots
+    target_time_s: float  # from now until the ego, driving the profile, is at the conflict
+    advised_speed_mps: float  # mean of the profile until then
     feasible: bool  # within the comfort limits
     text: str
+    profile_mps: tuple[float, ...] = ()  # speed at the end of each tick; empty on abstention
 
 
 @dataclass(frozen=True)
@@ -261,6 +264,36 @@ class Alert:
     other_id: str
     severity: float
     reason: str
+
+
+@dataclass(frozen=True)
+class AlertInterval:
+    """An alert from onset to end, about an unordered pair of vehicles."""
+
+    first_id: str  # the two ids, sorted
+    second_id: str
+    type: str  # "CONFLICT" or "DEVIATION"
+    onset_s: float
+    end_s: float
+    peak_s: float
+    severity: float  # 0 ... 1, at the peak
+    danger: float  # at the peak, in the unit of the rule that raised it; higher is worse
+
+
+@dataclass(frozen=True)
+class SafetyEvent:
+    """Something unsafe that really happened, known only afterwards (METHOD section 7).
+
+    Tiers: "T1" collision, "T2" evasive braking, "T3" second entry soon after the first left; and
+    "brief", a braking that is hard in single frames only, which is counted apart.
+    """
+
+    tier: str
+    first_id: str  # ids sorted; of an unattributed event: who braked
+    second_id: str | None  # None: nobody was near enough to be the reason
+    start_s: float
+    cause: str  # "contact", "hard braking", "emergency braking" or "encroachment"
+    encroachment_s: float | None = None  # of T2 that would have been, of T3 that was
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,6 +330,65 @@ class Score:
 
 
 # ---------------------------------------------------------------------------------------------
+# What might have been
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Drive a vehicle open loop, whatever is in its way; then the simulator's driver has it back.
+
+    In SUMO's terms: speed mode 32, all of its checks off (safe gap, right of way, the vehicle's
+    limits). Without effect while the vehicle is not on the road.
+    """
+
+    ego_id: str
+    start_s: float  # from now; until then the simulator's own driver drives
+    speed_mps: FloatArray  # [F] at the end of each tick from the start on
+    blend_s: float = 0.0  # over which the speed it has at the start changes to the planned ones
+
+
+@dataclass(frozen=True)
+class Lawful:
+    """Let a vehicle keep the rules of right of way and of signals, if its driver does not.
+
+    SUMO holds most of what makes a driver break them with the vehicle's type: whoever shares the
+    type keeps the rules as well. (A type of its own would upset what its driver has in mind.)
+    """
+
+    ego_id: str
+
+
+Change = Plan | Lawful
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """What becomes of a simulation from now on, or would with changes to it.
+
+    The first of the B frames is now. Rows of N are all vehicles ever there (no pedestrians);
+    where `valid` is False the numbers are 0 and mean nothing.
+    """
+
+    ids: tuple[str, ...]  # [N]
+    time_s: FloatArray  # [B] as in Scene
+    valid: BoolArray  # [B, N]
+    xy_m: FloatArray  # [B, N, 2]
+    yaw_rad: FloatArray  # [B, N]
+    speed_mps: FloatArray  # [B, N]
+    size_m: FloatArray  # [N, 2] length, width
+    collisions: tuple[tuple[float, str, str], ...]  # time, ids sorted; repeated while they touch
+    emergency_braking: tuple[tuple[float, str], ...]  # time, id; repeated while it brakes
+
+
+class BranchFuture(Protocol):
+    """A branch that is being driven while the simulation goes on."""
+
+    def result(self) -> Branch | None:
+        """Waits for the branch; None where it was lost, because what drove it died."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------
 # The protocols
 
 
@@ -318,6 +410,20 @@ class Simulator(Protocol):
     def reset(self, seed: int) -> Frame: ...
 
     def step(self, commands: Sequence[Command] = ()) -> Frame: ...
+
+    @property
+    def cannot_branch(self) -> str | None:
+        """Why `branch` raises InputError, in one line; None where it does not."""
+        ...
+
+    def branch(
+        self, futures: Sequence[Sequence[Change]], horizon_s: float
+    ) -> Sequence[BranchFuture]:
+        """Starts one branch per set of changes; the empty set is the future as it will be.
+
+        The simulation itself is left as it is, and may go on while the branches are driven.
+        """
+        ...
 
     def close(self) -> None: ...
 

@@ -98,7 +98,16 @@ def build_graphs(road: Road, seen: Perception) -> SemanticGraphs:
         rear_to_conflict_m=rear_m,
         conflict_xy_m=np.where(node_mask[:, :, None], point_xy, 0.0),
         conflict_type=kind,
+        leader=seen.leader[ego],
+        leader_gap_m=_leader_gap_m(seen)[ego],
     )
+
+
+def _leader_gap_m(seen: Perception) -> FloatArray:
+    """From the front bumper of every vehicle [N] to its leader's rear bumper; 0: no leader."""
+    half_m = 0.5 * seen.scene.size_m[:, 0]
+    behind_m = seen.leader_s_m - half_m[np.maximum(seen.leader, 0)]
+    return np.where(seen.leader >= 0, behind_m - seen.lines.s_m - half_m, 0.0)
 
 
 def _interacting(
@@ -355,7 +364,7 @@ def _vehicle_context(road: Road, seen: Perception, gates: Gates) -> _VehicleCont
         profile[:, -1] = free_travel_m(allowed, seen.own.speed_mps[:, -1])
     half_m = 0.5 * scene.size_m[:, 0]
     has_leader, lead = seen.leader >= 0, np.maximum(seen.leader, 0)
-    gap = np.where(has_leader, seen.leader_s_m - lines.s_m - half_m - half_m[lead], FREE_M)
+    gap = np.where(has_leader, _leader_gap_m(seen), FREE_M)
     gates_m = np.minimum(np.minimum(gates.stop_m, gates.give_way_m), gates.closed_m)
     return _VehicleContext(
         road=profile,

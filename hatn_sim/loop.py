@@ -5,14 +5,16 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from hatn_sim.assist.alert import AlertState, alert
-from hatn_sim.assist.risk import encounters
+from hatn_sim.assist.danger import hatn_rule
+from hatn_sim.assist.moment import Moment, Recent
+from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.assist.suggest import SuggestionState, suggest
 from hatn_sim.datatypes import (
     HORIZON_FRAMES,
@@ -27,6 +29,8 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
+from hatn_sim.perception import PerceptionState, perceive
+from hatn_sim.perception import begin as begin_to_perceive
 from hatn_sim.plugins import SHIPPED_AGENTS
 from hatn_sim.road import Road
 
@@ -47,6 +51,11 @@ class Adviser:
     predictor: Predictor
     lines: LineSource = "inferred"
     egos: frozenset[str] | None = None  # who gets suggestions and alerts; None: all; empty: none
+    settings: AssistSettings = field(default_factory=AssistSettings)
+
+    @property
+    def advises(self) -> bool:
+        return self.egos is None or bool(self.egos)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +69,23 @@ class Driver:
 @dataclass(frozen=True, eq=False)
 class AdviserState:
     memory: Any
+    perception: PerceptionState  # what alerts see; a predictor of ours shares it
     suggestions: SuggestionState
     alerts: AlertState
+    recent: Recent  # predictions
 
 
 def begin(adviser: Adviser, road: Road) -> AdviserState:
     """Nothing seen yet."""
-    return AdviserState(adviser.predictor.init(road), SuggestionState(), AlertState())
+    memory = adviser.predictor.init(road)
+    seen = _perceived(memory) or begin_to_perceive(road)
+    return AdviserState(memory, seen, SuggestionState(), AlertState(), Recent())
+
+
+def _perceived(memory: Any) -> PerceptionState | None:
+    """What a predictor of this package perceived; None: the memory is somebody else's."""
+    perceived = getattr(memory, "perception", memory)
+    return perceived if isinstance(perceived, PerceptionState) else None
 
 
 def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState:
@@ -74,7 +93,10 @@ def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState
     routes = frame.truth.routes if adviser.lines == "route" else None
     with _named(f"predictor {adviser.predictor.name!r}", adviser.predictor, frame.scene):
         memory = adviser.predictor.observe(state.memory, frame.scene, routes)
-    return replace(state, memory=memory)
+    seen = _perceived(memory)
+    if seen is None and adviser.advises:
+        seen = perceive(state.perception, frame.scene, routes)
+    return replace(state, memory=memory, perception=seen or state.perception)
 
 
 def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserState, Advice]:
@@ -123,9 +145,9 @@ def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
     where = f"predictor {name!r} at {scene.time_s:.1f} s"
     if prediction.ids != scene.ids:
         raise InputError(f"{where}: ids are not those of the scene, in its order; predict for all")
-    for field, (value, shape) in shapes.items():
+    for part, (value, shape) in shapes.items():
         if value.shape != shape:
-            raise InputError(f"{where}: {field} has shape {value.shape}, expected {shape}")
+            raise InputError(f"{where}: {part} has shape {value.shape}, expected {shape}")
     bad = ~np.isfinite(prediction.xy_m).all(axis=(1, 2, 3))
     bad |= ~np.isfinite(prediction.mode_probability).all(axis=1)
     if bad.any():
@@ -151,13 +173,24 @@ def advise(
     adviser: Adviser, state: AdviserState, scene: Scene, prediction: Prediction
 ) -> tuple[AdviserState, Advice]:
     """What to make of a prediction: suggestions and alerts, where it has slots."""
-    nobody = adviser.egos is not None and not adviser.egos
-    if nobody or prediction.graphs is None or prediction.slot_probability is None:
+    needed = prediction.graphs, prediction.slot_probability, prediction.lines
+    if not adviser.advises or any(part is None for part in needed):
         return state, Advice(prediction, (), ())
-    meeting = encounters(scene, prediction)
-    told, suggestions = suggest(state.suggestions, scene, prediction, meeting, adviser.egos)
-    warned, alerts = alert(state.alerts, scene, prediction, meeting, adviser.egos)
-    return AdviserState(state.memory, told, warned), Advice(prediction, suggestions, alerts)
+    perception, settings = state.perception, adviser.settings
+    earlier = state.recent.earlier(scene.time_s)
+    road = perception.road
+    moment = Moment(road, perception.seen, prediction, earlier, settings)
+    told, suggestions = suggest(
+        state.suggestions, road, scene, prediction, adviser.egos, moment.pairs
+    )
+    warned, alerts = alert(state.alerts, scene, hatn_rule(moment), settings, adviser.egos)
+    after = replace(
+        state,
+        suggestions=told,
+        alerts=warned,
+        recent=state.recent.with_newest(scene.time_s, prediction),
+    )
+    return after, Advice(prediction, suggestions, alerts)
 
 
 def warm_up(simulator: Simulator, frame: Frame, frames: int) -> Frame:

@@ -6,13 +6,17 @@ an editable install they lie beside the package, in the repository's top folder.
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
-from hatn_sim.errors import InputError
+from hatn_sim.errors import InputError, nearest
 
 PACKAGE_DIR = Path(__file__).resolve().parent
 LEARNING_PREFIX = "learn_"
 """How the names of the shipped scenes begin that predictors learn on and are not tested on."""
+SUITES = ("do_warn", "suppress_warn", "no_warn")
+"""What a scene can be scripted for: a foe violates the ego's right of way; the same approach, but
+the foe yields late; ordinary traffic (METHOD section 7)."""
 
 
 def scenarios_dir() -> Path:
@@ -39,8 +43,24 @@ def find_scenarios() -> dict[str, Path]:
 
 
 def scenes_to_test_on() -> tuple[str, ...]:
-    """The names of the shipped scenes, but for those that are there to learn on."""
-    return tuple(name for name in find_scenarios() if not name.startswith(LEARNING_PREFIX))
+    """The names of the shipped scenes, but for those to learn on and those of suites."""
+    return tuple(
+        name
+        for name, path in find_scenarios().items()
+        if not name.startswith(LEARNING_PREFIX) and _suite_of(path) is None
+    )
+
+
+def scenes_of_suite(suite: str) -> tuple[str, ...]:
+    """The names of the shipped scenes of a suite. Raises InputError for an unknown suite."""
+    if suite not in SUITES:
+        raise InputError(f"unknown suite {suite!r}{nearest(suite, SUITES)}")
+    return tuple(name for name, path in find_scenarios().items() if _suite_of(path) == suite)
+
+
+def _suite_of(path: Path) -> str | None:
+    """What a shipped scenario.toml says of its suite."""
+    return tomllib.loads(path.read_text("utf-8")).get("suite")
 
 
 def find_agents() -> dict[str, Path]:

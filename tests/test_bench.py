@@ -56,6 +56,9 @@ def test_every_stage_beside_the_bare_step(
         # One is a part of the other on every step.
         assert at["sumo"]["median_ms"] < at["simulator"]["median_ms"] < at["tick"]["median_ms"]
         if LINUX:
+            branch = one["branch"]
+            assert branch["steps"] == 60 and 0.0 < branch["start_ms"] < branch["whole_ms"]
+            assert branch["bare_ms"] > 0.0
             assert one["peak_mb"] > one["worker_peak_mb"] > 20.0
 
 

@@ -23,7 +23,7 @@ from hatn_sim.commands import scenarios
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame, Score
 from hatn_sim.log import read_run
-from hatn_sim.resources import find_scenarios, scenes_to_test_on
+from hatn_sim.resources import SUITES, find_scenarios, scenes_of_suite, scenes_to_test_on
 from hatn_sim.simulators.sumo import SumoSimulator
 
 NETS = Path(__file__).parent / "nets"
@@ -519,10 +519,20 @@ def test_scenarios_lists_every_scene_with_its_card(capsys: pytest.CaptureFixture
     names = [scene["name"] for scene in listed]
     assert sorted(names) == sorted(find_scenarios())
     tested = scenes_to_test_on()
-    assert names[: len(tested)] == sorted(tested)  # those to learn on come last
-    assert all(name.startswith("learn_") for name in names[len(tested) :])
+    suites = [name for suite in SUITES for name in scenes_of_suite(suite)]
+    to_learn_on = names[len(tested) : -len(suites)]
+    assert names == [*tested, *to_learn_on, *suites]
+    assert all(name.startswith("learn_") for name in to_learn_on)
     for scene in listed:
         assert scene["title"] and scene["description"]
+        if scene["name"] in suites:
+            assert scene["density"] == scene["risk"] == {}
+            ((suite, of_one),) = scene["suite"].items()
+            assert scene["name"] in scenes_of_suite(suite)
+            assert set(of_one["card"]) == set(scenarios.SUITE_TITLES)
+            assert of_one["measured"] is None
+            continue
+        assert scene["suite"] == {}
         if load_scenario(scene["name"]).simulator == "recorded":
             assert scene["density"] == scene["risk"] == {}  # what happened, happened
             continue
@@ -542,9 +552,10 @@ def test_scenarios_lists_every_scene_with_its_card(capsys: pytest.CaptureFixture
                 unknown = {key for key, value in of_one["card"].items() if value is None}
                 assert unknown == (set() if by_sumo else {"mean_delay_s"})
                 assert of_one["measured"] is None
-    assert code_of("scenarios", "learn_tee3", "tjunction") == 0
+    assert code_of("scenarios", "no_warn_crossing", "learn_tee3", "tjunction") == 0
     table = capsys.readouterr().out
-    places = [table.index(word) for word in ("tjunction", "To learn on", "learn_tee3")]
+    order = ("tjunction", "To learn on", "learn_tee3", "Suite no_warn", "no_warn_crossing")
+    places = [table.index(word) for word in order]
     assert places == sorted(places)
     assert code_of("scenarios", "roundabout8") == 0
     table = capsys.readouterr().out

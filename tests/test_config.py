@@ -126,7 +126,7 @@ def test_paths_that_are_no_scene(folder: Path) -> None:
 def test_faults_in_scenario_toml(folder: Path) -> None:
     where = f"{folder}/scenario.toml"
     assert fault(folder, "title =", "titel =") == (
-        f"{where}: unknown key 'titel'; did you mean 'title'?"
+        f"{where}: unknown key 'titel'; did you mean 'title' or 'suite'?"
     )
     assert fault(folder, 'title = "A corner"', "") == (
         f"{where}: key 'title' is missing: add a text"
@@ -134,6 +134,9 @@ def test_faults_in_scenario_toml(folder: Path) -> None:
     assert fault(folder, '"A corner"', "3") == f"{where}: title: expected a text, found 3"
     assert fault(folder, '"sumo"', '"suma"') == (
         f"{where}: simulator: unknown value 'suma'; did you mean 'sumo'?"
+    )
+    assert fault(folder, "[density]", 'suite = "do_wran"\n[density]') == (
+        f"{where}: suite: unknown value 'do_wran'; did you mean 'do_warn' or 'no_warn'?"
     )
     assert fault(folder, "0.5", '"half"') == (
         f"{where}: density.light: expected a positive number, found 'half'"
@@ -259,7 +262,13 @@ def test_resources_of_a_clone_and_of_a_wheel(
     (package / "_data" / "scenarios" / "learn_corner").mkdir()
     (package / "_data" / "scenarios" / "learn_corner" / "scenario.toml").touch()
     assert tuple(resources.find_scenarios()) == ("corner", "learn_corner")
+    (package / "_data" / "scenarios" / "near").mkdir(parents=True)
+    of_suite = package / "_data" / "scenarios" / "near" / "scenario.toml"
+    of_suite.write_text('suite = "do_warn"\n')
     assert resources.scenes_to_test_on() == ("corner",)
+    assert resources.scenes_of_suite("do_warn") == ("near",)
+    assert resources.scenes_of_suite("no_warn") == ()
+    of_suite.unlink()
     assert resources.weights_dir() == package / "hatn" / "weights"
     (package / "hatn" / "weights").rmdir()
     with pytest.raises(InputError, match="expected the shipped weights here"):

@@ -41,7 +41,7 @@ LAYERS = (
     ),
     ("assist", "hatn", "predictors"),
     ("evaluation", "learn", "log", "loop", "recordings", "report", "score", "traffic"),
-    ("bench", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
+    ("bench", "bench_branch", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 

@@ -88,6 +88,8 @@ def make_prediction(rng: np.random.Generator, frame: Frame) -> Prediction:
         rear_to_conflict_m=rng.random((egos, NODES)),
         conflict_xy_m=rng.normal(size=(egos, NODES, 2)) * 1e5,
         conflict_type=rng.integers(0, 2, (egos, NODES)),
+        leader=np.full(egos, -1),
+        leader_gap_m=np.zeros(egos),
     )
     return Prediction(
         ids=ids,
@@ -441,7 +443,7 @@ def cut_events(run: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (damage_version, "run.json: expected schema version 1, found 99; make the run again"),
+        (damage_version, "run.json: expected schema version 2, found 99; make the run again"),
         (damage_head, "run.json: expected the head of a run's log, found damage"),
         (head_with(predictors=None), "predictors: expected list, found None"),
         (head_with(predictors=[1]), "predictors: expected names, found [1]"),

@@ -355,6 +355,8 @@ def slots(
             rear_to_conflict_m=to_conflict_m,
             conflict_xy_m=conflict,
             conflict_type=unused,
+            leader=np.full(7, -1),
+            leader_gap_m=np.zeros(7),
         )
         return replace(traffic.exact(index), graphs=graphs, slot_probability=probability)
 

@@ -1,4 +1,10 @@
-"""Alerts as intervals: onset, peak, end, with hysteresis (METHOD section 7, CONFLICT)."""
+"""Dangers of pairs, moment by moment -> alerts as intervals: onset, peak, end.
+
+An alert begins where the danger of a pair reaches the onset threshold. It goes on while the danger
+is at least the end threshold, not counting gaps of up to `end_after_s`; and if it reaches the onset
+threshold again within `cool_down_s` of its end, that is the same alert. A pair has one alert at a
+time; its type is that of its onset.
+"""
 
 from __future__ import annotations
 
@@ -8,89 +14,112 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.risk import Encounters, required_deceleration_mps2
-from hatn_sim.datatypes import Alert, Prediction, Scene
+from hatn_sim.assist.moment import CONFLICT, TYPES, PairDangers
+from hatn_sim.assist.settings import AssistSettings
+from hatn_sim.datatypes import Alert, FloatArray, IntArray, Scene
 
-ENCROACHMENT_S: Final = 0.0
-"""Both are predicted to be in the area at once."""
-SOON_S: Final = 3.0
-"""The prediction's own horizon: nothing later is alerted of."""
-HARD_BRAKING_MPS2: Final = 3.0
-"""Beyond comfort: neither can easily give way any more."""
-END_AFTER_S: Final = 0.5
-"""The danger must be gone for this long."""
+ROUNDING_S: Final = 1e-6
+_Pair = tuple[str, str]
+"""The ids of two vehicles, sorted."""
 
 
 @dataclass(frozen=True)
 class _Open:
     alert: Alert  # the peak so far
-    last_s: float
+    danger: float  # at the peak
+    last_s: float  # when the danger was last enough for the alert to go on
+    deviates_id: str  # of a DEVIATION: who
 
 
 @dataclass(frozen=True)
 class AlertState:
-    """The alerts that are open now, by unordered pair, and how many there were."""
+    """The alerts that are open now, and how many there were."""
 
-    open: Mapping[tuple[str, str], _Open] = field(default_factory=dict[tuple[str, str], _Open])
+    open: Mapping[_Pair, _Open] = field(default_factory=dict[_Pair, _Open])
     count: int = 0
 
 
 def alert(
     state: AlertState,
     scene: Scene,
-    prediction: Prediction,
-    meeting: Encounters,
+    dangers: PairDangers,
+    settings: AssistSettings,
     egos: frozenset[str] | None,
 ) -> tuple[AlertState, tuple[Alert, ...]]:
-    """Edges of this moment: pairs predicted to meet, where both would have to brake hard."""
-    graphs = prediction.graphs
-    assert graphs is not None
-    other = np.maximum(graphs.rear, 0)
-    ego_speed = scene.speed_mps[graphs.ego][:, None]
-    ego_drac = required_deceleration_mps2(meeting.ego_room_m, ego_speed, meeting.other_leave_s)
-    other_drac = required_deceleration_mps2(
-        meeting.other_room_m, scene.speed_mps[other], meeting.ego_leave_s
-    )
-    least = np.minimum(ego_drac, other_drac)
-    danger = graphs.node_mask & (np.arange(graphs.rear.shape[1]) > 0)
-    danger &= meeting.predicted_encroachment_s() < ENCROACHMENT_S
-    danger &= np.maximum(meeting.ego_enter_s, meeting.other_enter_s) < SOON_S
-    danger &= least > HARD_BRAKING_MPS2
+    """Edges of this moment, for pairs with one of `egos` (None: all).
+
+    The ego of an alert is the first of its pair that is one of `egos`. Once it is known that an
+    alert is over, its `peak` and its `end` are told, at the times when they were.
+    """
+    first, second, danger, type_ = _worst(dangers, settings.alert_end_mps2)
     edges: list[Alert] = []
-    still: dict[tuple[str, str], _Open] = dict(state.open)
+    still = dict(state.open)
     count = state.count
-    for e, m in np.argwhere(danger).tolist():
-        ego_id, other_id = scene.ids[graphs.ego[e]], scene.ids[graphs.rear[e, m]]
+    for key, held in list(still.items()):
+        if scene.time_s - held.last_s > settings.cool_down_s + ROUNDING_S:
+            edges.append(replace(held.alert, edge="peak"))
+            edges.append(replace(held.alert, edge="end", time_s=held.last_s))
+            del still[key]
+    for a, b, value, kind in zip(
+        first.tolist(), second.tolist(), danger.tolist(), type_.tolist(), strict=True
+    ):
+        ego_id, other_id = scene.ids[a], scene.ids[b]
         if egos is not None and ego_id not in egos:
+            ego_id, other_id = other_id, ego_id
+            if ego_id not in egos:
+                continue
+        key = (min(ego_id, other_id), max(ego_id, other_id))
+        before = still.get(key)
+        starts = value >= settings.alert_onset_mps2
+        goes_on = (
+            before is not None and scene.time_s - before.last_s <= settings.end_after_s + ROUNDING_S
+        )
+        if not starts and not goes_on:
             continue
-        pair = (min(ego_id, other_id), max(ego_id, other_id))
-        severity = float(np.clip(least[e, m] / 9.0, 0.0, 1.0))
-        reason = f"both need to brake at {least[e, m]:.1f} m/s2 or more not to meet"
-        before = still.get(pair)
+        severity = min(value / settings.severe_mps2, 1.0)
         if before is None:
             count += 1
             onset = Alert(
-                f"a{count:05d}",
-                "onset",
-                "CONFLICT",
-                scene.time_s,
-                ego_id,
-                other_id,
-                severity,
-                reason,
+                alert_id=f"a{count:05d}",
+                edge="onset",
+                type=TYPES[kind],
+                time_s=scene.time_s,
+                ego_id=ego_id,
+                other_id=other_id,
+                severity=severity,
+                reason=_reason(TYPES[kind], value, scene.ids[a]),
             )
             edges.append(onset)
-            still[pair] = _Open(onset, scene.time_s)
-        else:
-            peak = before.alert
-            if severity > peak.severity:
-                peak = replace(
-                    peak, edge="peak", severity=severity, time_s=scene.time_s, reason=reason
-                )
-            still[pair] = _Open(peak, scene.time_s)
-    for pair, held in list(still.items()):
-        if scene.time_s - held.last_s > END_AFTER_S:
-            edges.append(replace(held.alert, edge="peak"))
-            edges.append(replace(held.alert, edge="end", time_s=held.last_s))
-            del still[pair]
+            still[key] = _Open(onset, value, scene.time_s, scene.ids[a])
+            continue
+        peak = before
+        if value > before.danger:
+            worse = replace(
+                before.alert,
+                edge="peak",
+                severity=severity,
+                time_s=scene.time_s,
+                reason=_reason(before.alert.type, value, before.deviates_id),
+            )
+            peak = replace(before, alert=worse, danger=value)
+        still[key] = replace(peak, last_s=scene.time_s)
     return AlertState(still, count), tuple(edges)
+
+
+def _worst(dangers: PairDangers, least: float) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+    """Pairs with a danger of `least` or more, each once, with its greatest danger."""
+    some = np.flatnonzero(dangers.danger >= least)
+    first, second, danger = dangers.first[some], dangers.second[some], dangers.danger[some]
+    kind = np.full(len(some), CONFLICT) if dangers.type is None else dangers.type[some]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    order = np.lexsort((-danger, high, low))
+    key = np.stack((low, high), axis=1)[order]
+    new = np.ones(len(order), dtype=np.bool_)
+    new[1:] = (np.diff(key, axis=0) != 0).any(axis=1)
+    best = order[new]
+    return first[best], second[best], danger[best], kind[best]
+
+
+def _reason(type_: str, danger_mps2: float, deviates_id: str) -> str:
+    why = f"both need to brake at {danger_mps2:.1f} m/s2 or more not to meet"
+    return why if type_ == TYPES[CONFLICT] else f"{deviates_id} was to give way; {why}"

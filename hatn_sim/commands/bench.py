@@ -145,6 +145,18 @@ def _table(benches: Sequence[Bench]) -> Table:
         if stage == "log":
             # Its median hides the tables, which it writes once in many steps.
             table.add_row("  mean", *(f"{at[stage].mean_ms:.2f}      " for at in by_stage))
+    if all(one.branch is not None for one in benches):
+        branches = [one.branch for one in benches if one.branch is not None]
+        for title, cells in (
+            (
+                f"branch of {branches[0].steps} steps, beside bare libsumo for these",
+                [f"{one.whole_ms:.2f} x{one.ratio:.1f}" for one in branches],
+            ),
+            ("  bare libsumo", [f"{one.bare_ms:.2f}      " for one in branches]),
+            ("  above 1.3 times that", [f"{one.excess_ms:.2f}      " for one in branches]),
+            ("  of it the run is held up", [f"{one.start_ms:.2f}      " for one in branches]),
+        ):
+            table.add_row(title, *cells)
     return table
 
 

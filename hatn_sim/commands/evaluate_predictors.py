@@ -225,6 +225,7 @@ def _as_run(
     choice_from: str,
 ) -> Namespace:
     """The arguments of the `hatn-sim run` that makes the same scores."""
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.commands.options import SIMULATORS_OWN
 
     source = scenario.recorded
@@ -242,6 +243,9 @@ def _as_run(
         adapt=arguments.adapt,
         lines=arguments.lines,
         egos=None,
+        assist_settings=None,
+        assist=AssistSettings(),
+        counterfactuals=None,
         net=None,
         react_from=None,
         drive=None,

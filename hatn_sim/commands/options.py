@@ -29,6 +29,14 @@ def seconds(text: str) -> float:
     return value
 
 
+def share(text: str) -> float:
+    """A share, more than 0 and up to 1."""
+    value = _number(text)
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"expected a share above 0 and up to 1, found {text!r}")
+    return value
+
+
 def seconds_or_none(text: str) -> float:
     """A duration in seconds, 0 or more."""
     value = _number(text)

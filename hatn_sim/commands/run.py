@@ -32,17 +32,20 @@ from hatn_sim.commands.options import (
     names,
     seconds,
     seconds_or_none,
+    share,
     with_driving,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
     from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import Run, RunWriter
     from hatn_sim.loop import Driver
+    from hatn_sim.score.what_if import WhatIf
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
 EXAMPLES = """examples:
@@ -98,6 +101,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help="vehicles that get suggestions and alerts (default: all)",
     )
+    parser.add_argument(
+        "--assist",
+        action="store_true",
+        dest="acts_on_advice",
+        help="take whoever is advised (--egos, default: all) for one who acts on it: never adapted",
+    )
+    parser.add_argument(
+        "--assist-settings",
+        type=Path,
+        metavar="FILE.toml",
+        help="thresholds of alerts (default: those that ship)",
+    )
+    parser.add_argument(
+        "--counterfactuals",
+        type=share,
+        metavar="RATE",
+        help="share of alerts and suggestions to be judged by branches of the run, above 0 up to 1 "
+        "(default: none)",
+    )
     add_traffic(parser)
     add_driving(parser)
     parser.add_argument(
@@ -113,6 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
+    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
     from hatn_sim.commands.chosen_predictors import load_predictors
     from hatn_sim.commands.line_choices import choice_header, drawing_lines
     from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
@@ -125,8 +148,11 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.traffic import found_out, open_traffic
 
     started = time.monotonic()
+    _check_assist(arguments)
     scenario = with_driving(chosen_scenario(arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
+    given: Path | None = arguments.assist_settings
+    arguments.assist = AssistSettings() if given is None else read_assist_settings(given)
     if arguments.warm_up is None:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
     if arguments.duration is None and scenario.recorded is None:
@@ -170,6 +196,16 @@ def main(arguments: argparse.Namespace) -> int:
     except SimulatorError as error:
         where = where if out.exists() else ""
         raise SimulatorError(f"{error}; repeat with `{header['command']}`{where}") from None
+
+
+def _check_assist(arguments: argparse.Namespace) -> None:
+    from hatn_sim.errors import InputError
+
+    if arguments.acts_on_advice and arguments.egos is None and arguments.adapt != "none":
+        raise InputError(
+            f"--assist --adapt {arguments.adapt}: everybody is advised, and nobody who is advised "
+            "is adapted; name those advised with --egos, or leave out --adapt"
+        )
 
 
 def _check_out(out: Path) -> None:
@@ -232,18 +268,24 @@ def _simulate(
     from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
     egos = None if arguments.egos is None else frozenset(arguments.egos)
-    advisers = [Adviser(predictor, arguments.lines, egos) for predictor in predictors]
+    settings: AssistSettings = arguments.assist
+    advisers = [Adviser(predictor, arguments.lines, egos, settings) for predictor in predictors]
     frame = warm_up(simulator, frame, round(arguments.warm_up / simulator.dt_s))
     duration_s: float | None = arguments.duration
     total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))
     began = time.monotonic()
+    what_if, main = _what_if(arguments, simulator), predictors[0].name
     with Progress(simulator.name, total, simulator.dt_s, arguments.quiet) as progress:
 
         def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
             writer.write(index, frame, advice)
+            if what_if is not None:
+                writer.write_counterfactuals(what_if.see(index, frame, advice[main]))
             progress.show(index + 1, len(frame.scene.ids))
 
         frames = run(simulator, advisers, frame, total or sys.maxsize, write, drivers)
+        if what_if is not None:
+            writer.write_counterfactuals(what_if.finish())
     seconds = time.monotonic() - began
     if total is not None and frames < total and not arguments.quiet:
         print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
@@ -251,6 +293,20 @@ def _simulate(
     if isinstance(simulator, SumoReplay):
         replay = simulator.fidelity, simulator.divergence
     return Simulated(frames, began, seconds, replay)
+
+
+def _what_if(arguments: argparse.Namespace, simulator: Simulator) -> WhatIf | None:
+    """What judges a sample of the advice; None where none is wanted, or nothing can be branched."""
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+    from hatn_sim.score.what_if import WhatIf
+
+    if arguments.counterfactuals is None:
+        return None
+    if simulator.cannot_branch is not None:
+        print(f"hatn-sim: run without counterfactuals: {simulator.cannot_branch}", file=sys.stderr)
+        return None
+    settings = CounterfactualSettings()
+    return WhatIf(simulator, arguments.counterfactuals, arguments.seed or 0, settings)
 
 
 def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: float) -> int:
@@ -288,12 +344,23 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
         f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
         f"{STEP_S * done.frames / taken_s:.1f} times real time"
     )
+    _tell_counterfactuals(logged)
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
     print(f"log, scores and picture in {out}" if pictures else f"log and scores in {out}")
     if pictures:
         print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
     return 0
+
+
+def _tell_counterfactuals(logged: Run) -> None:
+    """What branches said of the advice, and the weights of costs."""
+    if logged.counterfactuals is None:
+        return
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+    from hatn_sim.score.counterfactual_tally import tally, tally_words
+
+    print("\n".join(tally_words(tally(logged.counterfactuals), CounterfactualSettings())))
 
 
 def _write_replay(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from hatn_sim.commands.options import scene_words
@@ -43,6 +44,8 @@ def make_header(
             "compare": [predictor.name for predictor in predictors[1:]],
             "lines": arguments.lines,
             "egos": None if arguments.egos is None else list(arguments.egos),
+            "assist": asdict(arguments.assist),
+            "counterfactuals": _counterfactual_settings(arguments),
             "density": scenario.density,
             "risk": scenario.risk,
             "drive": arguments.drive,
@@ -53,6 +56,15 @@ def make_header(
         "trained_on": trained_on(predictors[0]),
         "command": _command(arguments, scenario),
     }
+
+
+def _counterfactual_settings(arguments: argparse.Namespace) -> dict[str, Any] | None:
+    """The rate, how advice is driven and what costs weigh."""
+    if arguments.counterfactuals is None:
+        return None
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+
+    return {"rate": arguments.counterfactuals, **asdict(CounterfactualSettings())}
 
 
 def trained_on(predictor: Predictor) -> list[str]:
@@ -106,6 +118,10 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
         words += ["--compare", ",".join(arguments.compare)]
     if arguments.egos is not None:
         words += ["--egos", ",".join(arguments.egos)]
+    if arguments.assist_settings is not None:
+        words += ["--assist-settings", str(arguments.assist_settings)]
+    if arguments.counterfactuals is not None:
+        words += ["--counterfactuals", f"{arguments.counterfactuals:g}"]
     if arguments.net is not None:
         words += ["--net", str(arguments.net)]
     if arguments.react_from is not None:

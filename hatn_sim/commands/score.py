@@ -1,7 +1,8 @@
 """Print the scores of one or more runs, read from their logs.
 
 Several runs of a scene are pooled; from five runs on, or five recordings or cases in them, the
-intervals are over these instead of over vehicles.
+intervals are over these instead of over vehicles. Alerts and suggestions are scored as well, by
+what really happened in the runs, with intervals over runs.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ def main(arguments: argparse.Namespace) -> int:
 
     from hatn_sim.commands.console import make_console
     from hatn_sim.log import read_run
+    from hatn_sim.report.assistance_table import assistance_table
     from hatn_sim.report.table import score_table, scores_json
+    from hatn_sim.score.logged import assistance_scores
     from hatn_sim.score.prediction import score_runs
     from hatn_sim.score.samples import clustered_over
 
@@ -35,9 +38,11 @@ def main(arguments: argparse.Namespace) -> int:
     for path, logged in zip(arguments.runs, runs, strict=True):
         if not logged.finished:
             print(f"hatn-sim: {path} is of an unfinished run", file=sys.stderr)
-    scores = score_runs(runs)
+    scores, assistance = score_runs(runs), assistance_scores(runs)
     if arguments.json:
-        print(scores_json(scores))
+        print(scores_json([*scores, *assistance]))
         return 0
     make_console().print(score_table(scores, clustered_over(runs)))
+    if assistance:
+        make_console().print(assistance_table(assistance))
     return 0

@@ -165,10 +165,11 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
 
 def _predictor(name: str, weights: Path | None, adapt: str) -> Predictor:
     """A predictor for one run. Networks, which keep nothing of a run, are loaded once a process."""
-    load = _network if name in READS_WEIGHTS else load_predictor
+    load = network_of_process if name in READS_WEIGHTS else load_predictor
     return load(name, weights, adapt)
 
 
 @cache
-def _network(name: str, weights: Path | None, adapt: str) -> Predictor:
+def network_of_process(name: str, weights: Path | None, adapt: str) -> Predictor:
+    """A network, loaded once a process, for it keeps nothing of a run."""
     return load_predictor(name, weights, adapt)

@@ -5,6 +5,7 @@
 | `run.json` | schema version, what the run was made of, whether it finished |
 | `timing.json` | the wall clock; all else is byte for byte the same between two equal runs |
 | `suggestions.jsonl`, `alerts.jsonl` | one line per change, written as it happens |
+| `counterfactuals.jsonl` | what branches of the run said of a sample of these; if asked for |
 | `tracks/`, `frames/` | all that a camera saw: `Scene`, in float64 |
 | `truth/` | what only the simulator knows; closed to predictors |
 | `predictions/NAME/` | what each predictor said of every vehicle |

@@ -238,6 +238,12 @@ class Run:
         frames = range(0, self.frame_count, every_frames)
         return read_parts(self.path / folder, range(self.parts), columns, index, frames)
 
+    @cached_property
+    def counterfactuals(self) -> list[Mapping[str, Any]] | None:
+        """What branches of the run said of its advice; None where none were asked for."""
+        name = schema.COUNTERFACTUALS_FILE
+        return self._lines(name) if (self.path / name).exists() else None
+
     def _lines(self, name: str) -> list[Any]:
         path = self.path / name
         lines = _read_text(path).split("\n")
@@ -311,6 +317,7 @@ def _read_text(path: Path) -> str:
 def _read_as(kind: type, line: Mapping[str, Any]) -> Any:
     """A line of JSON as a flat dataclass; null in a field of floats stands for "not finite"."""
     values = {field.name: line[field.name] for field in fields(kind)}
+    values |= {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     for field in fields(kind):
         if field.type in ("float", float) and values[field.name] is None:
             values[field.name] = math.nan

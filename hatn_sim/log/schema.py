@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import quote, unquote
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 PART_FRAMES = 300
 """A Parquet part holds this many frames: a killed run loses at most 30 s of its tables."""
 
@@ -13,6 +13,9 @@ RUN_FILE = "run.json"
 TIMING_FILE = "timing.json"
 SUGGESTIONS_FILE = "suggestions.jsonl"
 ALERTS_FILE = "alerts.jsonl"
+COUNTERFACTUALS_FILE = "counterfactuals.jsonl"
+ASSISTANCE_SCHEMA_FILE = "assistance.schema.json"
+"""Beside this module: the JSON Schema of the lines of both."""
 EVENTS_FILE = "truth/events.jsonl"
 ROUTES_FILE = "truth/routes.jsonl"
 TRACKS_FOLDER = "tracks"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -56,6 +56,7 @@ class RunWriter:
             self._alerts = self._open_lines(schema.ALERTS_FILE)
             self._events = self._open_lines(schema.EVENTS_FILE)
             self._routes_file = self._open_lines(schema.ROUTES_FILE)
+        self._counterfactuals: IO[str] | None = None
         self._tracks = PartBuffer(out / schema.TRACKS_FOLDER, schema.TRACKS)
         self._truth = PartBuffer(out / schema.TRUTH_FOLDER, schema.TRUTH)
         self._frames = PartBuffer(out / schema.FRAMES_FOLDER, schema.FRAMES)
@@ -111,6 +112,14 @@ class RunWriter:
             if self._next_frame % schema.PART_FRAMES == 0:
                 self._write_part()
 
+    def write_counterfactuals(self, lines: Iterable[Mapping[str, Any]]) -> None:
+        """Add lines of what branches of the run said; there is a file from the first call on."""
+        with _errors_of_the_disk(self._out):
+            if self._counterfactuals is None:
+                self._counterfactuals = self._open_lines(schema.COUNTERFACTUALS_FILE)
+            for line in lines:
+                _write_line(self._counterfactuals, dict(line))
+
     def close(self, *, finished: bool = True, timing: Mapping[str, Any] | None = None) -> None:
         """Write what is left; a second call does nothing. `timing` goes to `timing.json`."""
         if self._closed:
@@ -121,6 +130,8 @@ class RunWriter:
                 self._write_part()
             for file in (self._suggestions, self._alerts, self._events, self._routes_file):
                 file.close()
+            if self._counterfactuals is not None:
+                self._counterfactuals.close()
             if timing is not None:
                 self._write_whole(schema.TIMING_FILE, json.dumps(dict(timing), indent=2))
             self._write_run_file(finished=finished)

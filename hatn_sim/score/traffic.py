@@ -52,7 +52,6 @@ def count_traffic(before: Frame, frames: Iterable[Frame], dt_s: float) -> Traffi
     emergency: set[str] = set()
     hard: set[str] = set()
     touching = set(before.truth.collisions)
-    speed_before = _speeds(before)
     for frame in frames:
         truth = frame.truth
         count += 1
@@ -60,14 +59,10 @@ def count_traffic(before: Frame, frames: Iterable[Frame], dt_s: float) -> Traffi
         collisions += len(set(truth.collisions) - touching)
         touching = set(truth.collisions)
         emergency.update(truth.emergency_braking)
-        speed_now = _speeds(frame)
-        for name in speed_now.keys() & speed_before.keys() - set(truth.teleported):
-            braking_mps2 = (speed_before[name] - speed_now[name]) / dt_s
-            if braking_mps2 >= HARD_BRAKING_MPS2 - ROUNDING_MPS2:
-                hard.add(name)
-        vehicle_frames += len(speed_now)
-        speed_sum_mps += sum(speed_now.values())
-        speed_before = speed_now
+        hard.update(hard_braking(before, frame, dt_s))
+        vehicle_frames += len(frame.scene.ids)
+        speed_sum_mps += float(frame.scene.speed_mps.sum())
+        before = frame
     return TrafficCount(
         seconds=count * dt_s,
         frames=count,
@@ -78,6 +73,16 @@ def count_traffic(before: Frame, frames: Iterable[Frame], dt_s: float) -> Traffi
         emergency_brakings=len(emergency),
         hard_brakings=len(hard),
     )
+
+
+def hard_braking(before: Frame, frame: Frame, dt_s: float) -> set[str]:
+    """The vehicles that lose speed hard from one frame to the next, teleporting ones left out."""
+    speed_before, speed_now = _speeds(before), _speeds(frame)
+    return {
+        name
+        for name in speed_now.keys() & speed_before.keys() - set(frame.truth.teleported)
+        if (speed_before[name] - speed_now[name]) / dt_s >= HARD_BRAKING_MPS2 - ROUNDING_MPS2
+    }
 
 
 def density_figures(count: TrafficCount) -> dict[str, float | None]:

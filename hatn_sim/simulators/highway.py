@@ -8,7 +8,17 @@ from typing import Any, Final
 import numpy as np
 
 from hatn_sim.config import Scenario
-from hatn_sim.datatypes import DT_S, Command, Frame, Kind, Lane, Scene, Truth
+from hatn_sim.datatypes import (
+    DT_S,
+    BranchFuture,
+    Change,
+    Command,
+    Frame,
+    Kind,
+    Lane,
+    Scene,
+    Truth,
+)
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.geometry import wrap_angle
 from hatn_sim.road import Road
@@ -93,6 +103,15 @@ class HighwaySimulator:
         self._tick += 1
         traffic.follow()
         return self._frame(traffic, traffic.leave(), traffic.enter())
+
+    @property
+    def cannot_branch(self) -> str:
+        """Why `branch` raises InputError."""
+        return "highway-env is not branched; use a scene simulated by SUMO"
+
+    def branch(self, futures: Sequence[Sequence[Change]], horizon_s: float) -> list[BranchFuture]:
+        """Raises InputError: there are no branches here."""
+        raise InputError(f"{self.name}: no branches: {self.cannot_branch}")
 
     def close(self) -> None:
         """Ends the traffic."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from hatn_sim.datatypes import DT_S, Command, Frame, Recording
+from hatn_sim.datatypes import DT_S, BranchFuture, Change, Command, Frame, Recording
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.road import Road
 
@@ -54,6 +54,15 @@ class RecordedSimulator:
         if frame is None:
             raise InputError(f"{self.name}: there is no further frame in the recording")
         return frame
+
+    @property
+    def cannot_branch(self) -> str:
+        """Why `branch` raises InputError."""
+        return "its tracks are recorded: there is one future, the one that came"
+
+    def branch(self, futures: Sequence[Sequence[Change]], horizon_s: float) -> list[BranchFuture]:
+        """Raises InputError: there are no branches here."""
+        raise InputError(f"{self.name}: no branches: {self.cannot_branch}")
 
     def close(self) -> None:
         """Stops playing."""

@@ -2,24 +2,40 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, Command, Frame, Lane, Route, Scene, Truth
+from hatn_sim.datatypes import (
+    DT_S,
+    Branch,
+    Change,
+    Command,
+    Frame,
+    Lane,
+    Route,
+    Scene,
+    Truth,
+)
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import (
     AskFoes,
     AskLaneFoes,
+    AwaitBranch,
+    BranchEnded,
+    BranchesStarted,
     Failed,
     JunctionFoes,
     LaneFoes,
     RawFrame,
     Refused,
+    StartBranches,
     Started,
 )
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
@@ -57,6 +73,7 @@ class SumoSimulator:
         self._routes: list[Route] = []
         self._seed = 0
         self._time_s = 0.0
+        self._cannot_branch: str | None = None
         self.sumo_s = 0.0
         """Wall clock that SUMO itself took for the last step, reading and the pipe excepted."""
 
@@ -111,6 +128,7 @@ class SumoSimulator:
         assert isinstance(answer, Started)
         if self._lanes is None:
             self._lanes = lanes_of(answer.lane_table)
+        self._cannot_branch = answer.cannot_branch
         self._check_scene(answer.frame)
         return self._frame(answer.frame)
 
@@ -123,6 +141,39 @@ class SumoSimulator:
         answer = self._inquire(wanted)
         assert isinstance(answer, RawFrame)
         return self._frame(answer)
+
+    @property
+    def cannot_branch(self) -> str | None:
+        """Why `branch` raises InputError, known after `reset`; None where it does not."""
+        return self._cannot_branch
+
+    def branch(self, futures: Sequence[Sequence[Change]], horizon_s: float) -> list[SumoBranch]:
+        """Starts one branch per set of changes, driven by children of SUMO's process.
+
+        A branch without changes is, to the last bit, what the same number of `step()` without
+        commands gives. A vehicle that a `Command` drives now is SUMO's in a branch, unless it has
+        a `Plan` there. As many are driven at once as there are cores: with more, this waits.
+
+        Raises:
+            InputError: this scene or platform cannot be branched; or the horizon is under a tick.
+            SimulatorError: as `step`.
+        """
+        if self._cannot_branch is not None:
+            raise InputError(f"{self.name}: no branches: {self._cannot_branch}")
+        steps = round(horizon_s / DT_S)
+        if steps < 1:
+            raise InputError(f"horizon_s: expected {DT_S:g} s or more, found {horizon_s:g}")
+        answer = self._inquire(StartBranches(tuple(map(tuple, futures)), steps))
+        assert isinstance(answer, BranchesStarted) and self._worker is not None
+        return [SumoBranch(self, self._worker, number) for number in answer.numbers]
+
+    def await_branch(self, worker: SumoWorker, number: int) -> Branch | None:
+        """A branch that this worker has started; None where it or the worker is no more."""
+        if worker is not self._worker:
+            return None
+        answer = self._inquire(AwaitBranch(number))
+        assert isinstance(answer, BranchEnded)
+        return None if answer.pickled is None else pickle.loads(answer.pickled)
 
     def junction_foes(self, reach_m: float) -> JunctionFoes:
         """SUMO's list of conflicts within `reach_m` ahead of every vehicle of the newest frame.
@@ -219,3 +270,22 @@ class SumoSimulator:
             teleported=raw.teleported,
         )
         return Frame(scene=scene, truth=truth, done=raw.done)
+
+
+class SumoBranch:
+    """A branch that a child of SUMO's process drives. See `BranchFuture`."""
+
+    def __init__(self, simulator: SumoSimulator, worker: SumoWorker, number: int) -> None:
+        self._ask = partial(simulator.await_branch, worker, number)
+        self._asked = False
+        self._branch: Branch | None = None
+
+    def result(self) -> Branch | None:
+        """Waits for the branch; None where it was lost, or the simulator was closed or reset.
+
+        Raises SimulatorError where SUMO itself, not the child, has died.
+        """
+        if not self._asked:
+            self._asked = True
+            self._branch = self._ask()
+        return self._branch

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Route
+from hatn_sim.datatypes import BoolArray, Change, FloatArray, IntArray, Route
 from hatn_sim.simulators.sumo_lanes import LaneTable
 
 
@@ -31,6 +31,7 @@ class RawFrame:
 class Started:
     lane_table: LaneTable
     frame: RawFrame
+    cannot_branch: str | None  # why; None: it can
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,33 @@ class Failed:
     """SUMO gave up in the middle of a run."""
 
     reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class StartBranches:
+    """Asks for one branch of so many steps per set of changes, without letting time pass."""
+
+    futures: tuple[tuple[Change, ...], ...]
+    steps: int
+
+
+@dataclass(frozen=True)
+class BranchesStarted:
+    numbers: tuple[int, ...]  # to ask for them by
+
+
+@dataclass(frozen=True)
+class AwaitBranch:
+    """Asks for a branch that was started; to be asked once."""
+
+    number: int
+
+
+@dataclass(frozen=True, eq=False)
+class BranchEnded:
+    """A `Branch`, pickled; None where the child that drove it died."""
+
+    pickled: bytes | None
 
 
 @dataclass(frozen=True)

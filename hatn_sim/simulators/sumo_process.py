@@ -37,7 +37,8 @@ class SumoWorker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
-            env=os.environ | {"PYTHONPATH": modules},
+            # Only what has no other threads can be forked.
+            env=os.environ | {"PYTHONPATH": modules, "OPENBLAS_NUM_THREADS": "1"},
         )
 
     @property

@@ -4,7 +4,8 @@ It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_pro
 over its standard input and output. The first message it reads are SUMO's options; it answers with
 `Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
 commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
-`AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes.
+`AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes; nor does it
+for `StartBranches`, which forks children that drive on by themselves, and `AwaitBranch`.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
 """
 
@@ -16,12 +17,14 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 import libsumo
 import numpy as np
 
 from hatn_sim.datatypes import Kind
+from hatn_sim.simulators.sumo_branch import Branches
 from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lanes import (
     CLOSED_SIGNALS,
@@ -33,24 +36,26 @@ from hatn_sim.simulators.sumo_lanes import (
 from hatn_sim.simulators.sumo_messages import (
     AskFoes,
     AskLaneFoes,
+    AwaitBranch,
+    BranchEnded,
+    BranchesStarted,
     Failed,
     JunctionFoes,
     LaneFoes,
     RawFrame,
     Refused,
+    StartBranches,
     Started,
 )
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
+from hatn_sim.simulators.sumo_rows import (
+    INVALID_M,
+    OBEY_SPEED_MODE,
+    OWN_SPEED_MODE,
+    ROUNDING_MPS,
+    centred,
+)
 
-OBEY_SPEED_MODE = 32
-"""All of SUMO's checks off (safe gap, acceleration limits, right of way, red lights): a commanded
-vehicle does what it is told, into a collision if need be."""
-OWN_SPEED_MODE = 31
-"""All checks on: SUMO's own driver."""
-ROUNDING_MPS = 1e-6
-"""What a difference of two speeds may be off."""
-INVALID_M = -1e9
-"""SUMO gives coordinates below this where a vehicle is nowhere (while it teleports)."""
 SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
 """Of a vehicle without a colour of its own; its type's counts then."""
 PEDESTRIAN_PREFIX = "person:"
@@ -123,6 +128,7 @@ class Simulation:
         self._speeds_mps: dict[str, float] = {}
         self._sumo_s = 0.0
         self._foes = FoeReader(libsumo, self.lane_table)
+        self._branches = Branches(libsumo, self._tracker, partial(_collisions, frozenset()))
         end_s = libsumo.simulation.getEndTime()
         self._end_s = end_s if end_s >= 0 else float("inf")
 
@@ -148,9 +154,16 @@ class Simulation:
             libsumo.vehicle.setSpeed(vehicle, max(speed_mps, 0.0))
         self._commanded = set(accelerations)
 
-    def answer(self, message: object) -> RawFrame | JunctionFoes | LaneFoes:
-        """Who conflicts with whom, if that is asked; else the frame after a step of commands."""
+    def answer(
+        self, message: object
+    ) -> RawFrame | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded:
+        """What is asked without time passing; else the frame after a step of commands."""
+        self._branches.reap()
         match message:
+            case StartBranches(futures, steps):
+                return self._branches.start(futures, self._commanded, steps)
+            case AwaitBranch(number):
+                return self._branches.outcome(number)
             case AskFoes(reach_m):
                 return self.junction_foes(reach_m)
             case AskLaneFoes():
@@ -205,6 +218,16 @@ class Simulation:
     def lane_foes(self) -> LaneFoes:
         """What SUMO's junctions hold against each other."""
         return self._foes.lane_foes()
+
+    @property
+    def cannot_branch(self) -> str | None:
+        """Why this simulation cannot be forked; None where it can."""
+        return self._branches.cannot
+
+    def close(self) -> None:
+        """Finishes the output files that a user's configuration asks for."""
+        self._branches.end()
+        libsumo.close()
 
     def _emergency_braking(
         self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
@@ -283,11 +306,7 @@ def _look(domain: Any, name: str) -> tuple[float, ...]:
 
 def _centred(rows: np.ndarray) -> np.ndarray:
     """Turns SUMO's front bumper and compass angle into box centre and yaw, in place."""
-    yaw = np.radians(90.0 - rows[:, 2])
-    yaw = np.pi - np.mod(np.pi - yaw, 2 * np.pi)
-    rows[:, 0] -= 0.5 * rows[:, 5] * np.cos(yaw)
-    rows[:, 1] -= 0.5 * rows[:, 5] * np.sin(yaw)
-    rows[:, 2] = yaw
+    rows[:, :2], rows[:, 2] = centred(rows[:, :2], rows[:, 2], rows[:, 5])
     return rows
 
 
@@ -322,7 +341,12 @@ class Served(Protocol):
 
     def observe(self) -> RawFrame: ...
 
+    @property
+    def cannot_branch(self) -> str | None: ...
+
     def answer(self, message: Any) -> object: ...
+
+    def close(self) -> None: ...
 
 
 def serve(start: Callable[[Sequence[str]], Served]) -> None:
@@ -351,7 +375,8 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         reply(Refused(str(error)))
         return
     try:
-        reply(Started(simulation.lane_table, simulation.observe()))
+        first = simulation.observe()
+        reply(Started(simulation.lane_table, first, simulation.cannot_branch))
         while True:
             message = pickle.load(requests)
             try:
@@ -361,7 +386,7 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
                 return
             reply(answer)
     finally:
-        libsumo.close()  # finishes the output files that a user's configuration asks for
+        simulation.close()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,19 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, Command, Frame, Gate, Kind, Lane, Recording, Route, Scene
+from hatn_sim.datatypes import (
+    DT_S,
+    BranchFuture,
+    Change,
+    Command,
+    Frame,
+    Gate,
+    Kind,
+    Lane,
+    Recording,
+    Route,
+    Scene,
+)
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo_config import MAX_SEED
@@ -188,6 +200,15 @@ class SumoReplay:
             raise InputError(f"{self.name}: there is no further frame in the recording")
         self._index += 1
         return self._advance(frame, commands)
+
+    @property
+    def cannot_branch(self) -> str:
+        """Why `branch` raises InputError."""
+        return "its tracks are recorded: there is one future, the one that came"
+
+    def branch(self, futures: Sequence[Sequence[Change]], horizon_s: float) -> list[BranchFuture]:
+        """Raises InputError: there are no branches here."""
+        raise InputError(f"{self.name}: no branches: {self.cannot_branch}")
 
     def close(self) -> None:
         """Ends SUMO and its process; the figures stay."""

@@ -43,6 +43,13 @@ class ReplaySimulation:
     def lane_table(self) -> LaneTable:
         return self._simulation.lane_table
 
+    @property
+    def cannot_branch(self) -> str:
+        return "recorded vehicles are moved from outside"
+
+    def close(self) -> None:
+        self._simulation.close()
+
     def observe(self) -> RawFrame:
         """Nobody is on the road yet."""
         return self._simulation.observe(())

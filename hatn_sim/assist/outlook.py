@@ -1,0 +1,335 @@
+"""What may come of a moment: how early others may be where they meet the ego, and what the ego
+has to keep to if it takes one of its slots.
+
+Letters as in `datatypes`, and R pairs of an ego and one of its slots, G knots of a profile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.assist.pairs import Pairs, area_m, at_conflicts
+from hatn_sim.assist.profile import (
+    COMFORT_ACCELERATION_MPS2,
+    COMFORT_BRAKING_MPS2,
+    FAR_S,
+    KNOT_S,
+    KNOTS,
+    ROAD_REACH_M,
+    ROAD_STEP_M,
+    SLOWING_MPS2,
+    Approach,
+    Profiles,
+)
+from hatn_sim.assist.risk import arrival_s
+from hatn_sim.datatypes import (
+    DT_S,
+    HORIZON_FRAMES,
+    BoolArray,
+    ConflictType,
+    FloatArray,
+    Front,
+    IntArray,
+    Lines,
+    Prediction,
+    Scene,
+    SemanticGraphs,
+)
+from hatn_sim.graph import AHEAD_AT_M, CONTEXT
+from hatn_sim.road import Road
+from hatn_sim.speed_profile import LATERAL_MPS2
+
+PLAUSIBLE_WEIGHT: Final = 0.1
+"""Components of a goal distribution with less weight are not reckoned with."""
+PLAUSIBLE_STD: Final = 1.28
+"""One in ten of a component goes farther than this many of its standard deviations."""
+LEAVE_MARGIN_S: Final = 0.3
+"""An area opens so long after whoever was let go has left it."""
+_ACCELERATION: Final = CONTEXT.index("acceleration_mps2 of the rear vehicle")
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """A moment, as far as slots are chosen by it."""
+
+    scene: Scene
+    graphs: SemanticGraphs
+    travelled_m: FloatArray  # [N, F] on the most probable predicted path
+    room_m: FloatArray  # [E, M] from the ego's front bumper to the area
+    clear_m: FloatArray  # [E, M] the ego's way until its rear bumper is out of the area
+    ego_enter_s: FloatArray  # [E, M] as predicted
+    enter_s: FloatArray  # [E, M] of the other, as predicted
+    leave_s: FloatArray  # [E, M]
+    soonest_s: FloatArray  # [E, M] the earliest that the other may plausibly enter
+    taken_m: FloatArray  # [E] from the ego's front bumper to an area somebody is in; inf: none
+    taken_s: FloatArray  # [E] when it is left
+
+
+def look_ahead(
+    road: Road, scene: Scene, prediction: Prediction, pairs: Pairs | None = None
+) -> Outlook:
+    """The outlook of a moment; needs `prediction.graphs` and `prediction.lines`.
+
+    `pairs` are those of the moment, if they are known already.
+    """
+    graphs, lines = prediction.graphs, prediction.lines
+    assert graphs is not None and lines is not None
+    best = prediction.mode_probability.argmax(axis=1)
+    path = prediction.xy_m[np.arange(len(best)), best]
+    whole = np.concatenate((scene.xy_m[:, None], path), axis=1)
+    travelled = np.cumsum(np.linalg.norm(np.diff(whole, axis=1), axis=2), axis=1)
+    fastest = fastest_travel_m(prediction, travelled)
+    ego = np.repeat(graphs.ego[:, None], graphs.rear.shape[1], axis=1)
+    other = np.maximum(graphs.rear, 0)
+    ego_half, other_half = _areas_m(road, scene, lines, graphs, ego, other)
+    taken_m, taken_s = _taken(pairs or at_conflicts(road, scene, lines), graphs, travelled)
+    room = graphs.ego_to_conflict_m - ego_half
+    other_room = graphs.rear_to_conflict_m - other_half
+    return Outlook(
+        scene=scene,
+        graphs=graphs,
+        travelled_m=travelled,
+        room_m=room,
+        clear_m=graphs.ego_to_conflict_m + ego_half,
+        ego_enter_s=arrival_s(travelled, ego, room),
+        enter_s=arrival_s(travelled, other, other_room),
+        leave_s=arrival_s(travelled, other, graphs.rear_to_conflict_m + other_half),
+        soonest_s=arrival_s(fastest, other, other_room),
+        taken_m=taken_m,
+        taken_s=taken_s,
+    )
+
+
+def _areas_m(
+    road: Road,
+    scene: Scene,
+    lines: Lines,
+    graphs: SemanticGraphs,
+    ego: IntArray,
+    other: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """From the centre of who enters or has just left, to the point of conflict [E, M]: egos',
+    others'."""
+    half = np.zeros((2, *ego.shape))
+    e, m = np.nonzero(graphs.node_mask & (np.arange(ego.shape[1]) > 0))
+    index = np.stack((ego[e, m], other[e, m]), axis=1)
+    to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
+    point_s = lines.s_m[index] + to_point
+    of_pair, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
+    half[:, e, m] = of_pair.T
+    return half[0], half[1]
+
+
+def _taken(
+    pairs: Pairs, graphs: SemanticGraphs, travelled_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The nearest area [E] ahead of each ego that somebody who crosses is in, and until when.
+
+    Graphs let go of a conflict 2 m behind the other's centre: its rear may be in the area yet.
+    """
+    count = len(graphs.ids)
+    nearest, until = np.full(count, np.inf), np.zeros(count)
+    for mine, its in ((0, 1), (1, 0)):
+        inside = (pairs.type == ConflictType.CROSS) & (pairs.room_m[:, its] <= 0.0)
+        inside &= pairs.room_m[:, mine] > -0.5 * pairs.length_m[:, mine]
+        q = np.flatnonzero(inside)
+        q = q[np.argsort(-pairs.room_m[q, mine], kind="stable")]  # the nearest is written last
+        leave = arrival_s(travelled_m, pairs.index[q, its], pairs.clear_m[q, its])
+        nearer = pairs.room_m[q, mine] < nearest[pairs.index[q, mine]]
+        q, leave = q[nearer], leave[nearer]
+        nearest[pairs.index[q, mine]] = pairs.room_m[q, mine]
+        until[pairs.index[q, mine]] = leave + LEAVE_MARGIN_S
+    return nearest[graphs.ego], until[graphs.ego]
+
+
+def fastest_travel_m(prediction: Prediction, travelled_m: FloatArray) -> FloatArray:
+    """How far vehicles may plausibly get [N, F].
+
+    The predicted path length, and from some time on more of it, as of one who decides then to
+    accelerate: so that it ends at the farthest plausible goal.
+    """
+    weight, mean, std = (
+        prediction.goal_weight,
+        prediction.goal_mean_m,
+        prediction.goal_std_m,
+    )
+    if weight is None or mean is None or std is None:
+        return travelled_m
+    far = np.where(weight >= PLAUSIBLE_WEIGHT, mean + PLAUSIBLE_STD * std, 0.0).max(axis=1)
+    more = np.maximum(far - travelled_m[:, -1], 0.0)
+    horizon_s = HORIZON_FRAMES * DT_S
+    gaining_s = np.minimum(np.sqrt(2.0 * more / COMFORT_ACCELERATION_MPS2), horizon_s)
+    since_s = DT_S * np.arange(1, HORIZON_FRAMES + 1) - (horizon_s - gaining_s[:, None])
+    share = np.maximum(since_s, 0.0) / np.maximum(gaining_s, DT_S)[:, None]
+    return np.asarray(travelled_m + more[:, None] * share**2)
+
+
+def approaches(
+    outlook: Outlook,
+    row: IntArray,
+    slot: IntArray,
+    named: IntArray,
+    has_stopped: BoolArray,
+    start_s: float = 0.0,
+) -> tuple[Approach, FloatArray]:
+    """What egos of graphs [R] have to keep to in order to take slots [R].
+
+    On a yield, the vehicles of nodes `named` [R] go first, and whoever would be met then.
+    Also when the area opens for them [R]: the last of those let go has left; 0 on a pass.
+    `has_stopped` [R] is of the stop line ahead: they have done so, and may go on. Until `start_s`
+    they drive as predicted.
+    """
+    graphs, scene = outlook.graphs, outlook.scene
+    ego = graphs.ego[row]
+    first, area_s = _let_go(outlook, row, slot, named)
+    others = graphs.node_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
+    further = others & ~graphs.focus_mask[row]
+    # At later conflicts the order is the predicted one.
+    first |= further & (outlook.enter_s[row] < outlook.ego_enter_s[row])
+    # Who has begun to merge is kept apart from those ahead by following them.
+    merging = graphs.conflict_type[row] == ConflictType.MERGE
+    closed = first & ~(merging & (outlook.room_m[row] <= 0.0))
+    opens = outlook.leave_s[row] + LEAVE_MARGIN_S
+    knot_s: FloatArray = start_s + _KNOT_S
+    leader_m, leader_mps = _leaders(outlook, row, first, knot_s)
+    to_line = np.where(
+        (graphs.front_type[row, 0] == Front.STOP) & ~has_stopped,
+        graphs.x[row, 0, -1, 6],
+        np.inf,
+    )
+    speed, start_m = scene.speed_mps[ego], np.zeros(len(row))
+    if start_s > 0.0:
+        travel, then = travel_at(outlook.travelled_m[ego], np.array([start_s]))
+        speed, start_m = then[:, 0], travel[:, 0]
+    return (
+        Approach(
+            start_s=start_s,
+            start_m=start_m,
+            speed_mps=speed,
+            acceleration_mps2=graphs.context[row, 0, _ACCELERATION],
+            allowed_mps=_allowed_mps(graphs.context[row, 0]),
+            leader_m=leader_m,
+            leader_mps=leader_mps,
+            stop_m=to_line,
+            area_m=np.column_stack(
+                (np.where(closed, outlook.room_m[row], np.inf), outlook.taken_m[row])
+            ),
+            open_s=np.column_stack((np.where(closed, opens, 0.0), outlook.taken_s[row])),
+        ),
+        area_s,
+    )
+
+
+def _let_go(
+    outlook: Outlook, row: IntArray, slot: IntArray, named: IntArray
+) -> tuple[BoolArray, FloatArray]:
+    """Who of the focus group goes before the ego [R, M], and when the last of them has left [R].
+
+    On a yield: whoever is named, and everybody whom the ego would meet if it went then. On a pass:
+    nobody.
+    """
+    graphs = outlook.graphs
+    group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
+    enter = np.where(group, outlook.enter_s[row], np.inf)
+    leave = outlook.leave_s[row] + LEAVE_MARGIN_S
+    yields = slot == 0
+    first = group & yields[:, None] & (np.arange(group.shape[1]) == named[:, None])
+    room = np.maximum(outlook.room_m[row], 0.0)
+    within = np.maximum(outlook.clear_m[row] - room, 0.0)
+    speed = outlook.scene.speed_mps[graphs.ego[row]][:, None]
+    area_s = np.zeros(len(row))
+    for _ in range(graphs.rear.shape[1] - 1):
+        area_s = np.where(first, leave, 0.0).max(axis=1)
+        arrives = area_s[:, None]
+        # Having braked evenly so as to arrive then.
+        enters_mps = np.maximum(2.0 * room / np.maximum(arrives, DT_S) - speed, 0.0)
+        enters_mps = np.minimum(enters_mps, speed)
+        root = np.sqrt(enters_mps**2 + 2.0 * COMFORT_ACCELERATION_MPS2 * within)
+        out_s = arrives + (root - enters_mps) / COMFORT_ACCELERATION_MPS2
+        more = group & yields[:, None] & ~first & (enter < np.minimum(out_s, FAR_S))
+        if not more.any():
+            break
+        first |= more
+    return first, area_s
+
+
+def _leaders(
+    outlook: Outlook, row: IntArray, first: BoolArray, time_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Rear bumper [R, G] and speed [R, G] of the nearest ahead of the ego's front bumper: of its
+    leader, and of those it lets merge before it, from when they have left the
+    area, or from now on where the ego has begun to merge behind them."""
+    graphs, scene = outlook.graphs, outlook.scene
+    ego, leader = graphs.ego[row], graphs.leader[row]
+    travel, speed = travel_at(outlook.travelled_m, time_s)
+    there = (leader >= 0)[:, None]
+    ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
+    ahead_mps = np.where(there, speed[leader], 0.0)
+    r, m = np.nonzero(first & (graphs.conflict_type[row] == ConflictType.MERGE))
+    other, of = graphs.rear[row[r], m], row[r]
+    half_m = 0.5 * (scene.size_m[ego[r], 0] + scene.size_m[other, 0])
+    before_m = graphs.ego_to_conflict_m[of, m] - graphs.rear_to_conflict_m[of, m] - half_m
+    begun = outlook.room_m[of, m] <= 0.0
+    in_lane = begun[:, None] | (time_s >= outlook.leave_s[of, m][:, None])
+    place = np.where(in_lane, before_m[:, None] + travel[other], np.inf)
+    for k in range(len(r)):  # one after the other: several may merge before one ego
+        nearer = place[k] < ahead[r[k]]
+        ahead[r[k], nearer] = place[k, nearer]
+        ahead_mps[r[k], nearer] = speed[other[k], nearer]
+    return ahead, ahead_mps
+
+
+_KNOT_S: Final[FloatArray] = KNOT_S * np.arange(KNOTS + 1, dtype=np.float64)
+
+
+def travel_at(travelled_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Path length [N, G] and speed [N, G] at times [G], from frames [N, F]; at the last speed
+    beyond them."""
+    path = np.concatenate((np.zeros((len(travelled_m), 1)), travelled_m), axis=1)
+    step = np.diff(path, axis=1)
+    frame = time_s / DT_S
+    low = np.minimum((frame + 1e-9).astype(np.int64), HORIZON_FRAMES - 1)
+    return path[:, low] + (frame - low) * step[:, low], step[:, low] / DT_S
+
+
+def pass_margin_s(
+    outlook: Outlook, row: IntArray, profiles: Profiles, enter_s: FloatArray
+) -> FloatArray:
+    """By how much egos [R] are out of every area of their focus group before others enter them.
+
+    Others do so at `enter_s` [E, M]. Where lines merge, the ego has also to be far enough ahead
+    for the other to brake in comfort.
+    """
+    graphs = outlook.graphs
+    group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
+    clear_s = profiles.arrival_s(np.where(group, outlook.clear_m[row], 0.0))
+    margin = enter_s[row] - clear_s
+    merging = group & (graphs.conflict_type[row] == ConflictType.MERGE)
+    if merging.any():
+        other_mps = outlook.scene.speed_mps[np.maximum(graphs.rear[row], 0)]
+        knot = np.minimum((clear_s / KNOT_S).astype(np.int64), KNOTS)
+        own_mps = np.take_along_axis(profiles.speed_mps, knot, axis=1)
+        faster = np.maximum(other_mps - own_mps, 0.0)
+        needed_s = faster**2 / (2.0 * COMFORT_BRAKING_MPS2 * np.maximum(other_mps, 1.0))
+        margin = np.where(merging, margin - needed_s, margin)
+    return np.asarray(np.where(group, margin, np.inf).min(axis=1, initial=np.inf))
+
+
+_POINTS: Final = round(ROAD_REACH_M / ROAD_STEP_M) + 1
+_AT_M: Final = ROAD_STEP_M * np.arange(_POINTS)
+_BETWEEN: Final = np.array(
+    [np.interp(_AT_M, AHEAD_AT_M, unit) for unit in np.eye(len(AHEAD_AT_M))]
+)  # [AHEAD_AT_M, P]
+
+
+def _allowed_mps(context: FloatArray) -> FloatArray:
+    """Speed [R, P] that limits and bends allow, ahead of vehicles with contexts [R, ...]."""
+    points = len(AHEAD_AT_M)
+    limit, bend = context[:, :points], np.abs(context[:, points : 2 * points])
+    square = np.minimum(limit**2, LATERAL_MPS2 / np.maximum(bend, 1e-4))
+    square = square @ _BETWEEN
+    fall = 2.0 * SLOWING_MPS2 * _AT_M
+    return np.sqrt(np.minimum.accumulate((square + fall)[:, ::-1], axis=1)[:, ::-1] - fall)

@@ -1,0 +1,251 @@
+"""The speed a vehicle had better drive: as fast as the road, a leader and other vehicles' turns
+allow, with bounded acceleration, braking and jerk. Many vehicles and slots at once.
+
+Letters: R profiles, K areas on the way of each, G knots of time, P points of the road ahead,
+F ticks of the profile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.datatypes import DT_S, FloatArray
+
+PROFILE_FRAMES: Final = 50
+"""5 s: what a plan is driven for (METHOD section 7)."""
+KNOT_S: Final = 0.25
+KNOTS: Final = round(PROFILE_FRAMES * DT_S / KNOT_S)
+"""Between knots the jerk is constant; the knots are 0 ... `KNOTS`."""
+ROAD_STEP_M: Final = 2.5
+ROAD_REACH_M: Final = 50.0
+
+COMFORT_ACCELERATION_MPS2: Final = 2.0
+COMFORT_BRAKING_MPS2: Final = 3.0
+COMFORT_JERK_MPS3: Final = 3.5
+"""ISO 15622 allows cruise control 5 m/s^3 below 5 m/s and 2.5 above 20."""
+HARD_BRAKING_MPS2: Final = 8.0
+HARD_JERK_MPS3: Final = 40.0
+"""Where comfort cannot keep a vehicle out of another's way; the profile is not feasible then."""
+SLOWING_MPS2: Final = 1.5
+"""Braking for a bend, a limit or a stop line, which are known long before."""
+EASE_S: Final = 0.5
+"""Differences of speed are made up for in this time."""
+LAG_S: Final = 0.3
+"""How long an acceleration lasts until it can be another."""
+SHORT_M: Final = 0.5
+"""Who has to stop does so this far before the place."""
+SURE_S: Final = 1.0
+"""Until so long before an area opens, the vehicle can still stop before it within comfort."""
+FAR_S: Final = 60.0
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How a vehicle keeps out of a place. The jerk, which is bounded too, takes what is left to
+    the limit of comfort."""
+
+    braking_mps2: float
+    time_s: float
+    short_m: float
+
+
+AREA: Final = Rule(2.4, 0.9, SHORT_M)
+LEADER: Final = Rule(2.4, 0.9, 2.0)
+LINE: Final = Rule(SLOWING_MPS2, 0.9, SHORT_M)
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """What R vehicles start from and have to keep to.
+
+    Distances are from where their front bumpers are now, times from now; the profile itself may
+    start later, where a driver needs time to react.
+    """
+
+    start_s: float
+    start_m: FloatArray  # [R] driven until then
+    speed_mps: FloatArray  # [R] then
+    acceleration_mps2: FloatArray  # [R]
+    allowed_mps: FloatArray  # [R, P] every `ROAD_STEP_M` from here to `ROAD_REACH_M`
+    leader_m: FloatArray  # [R, G] to the rear bumper of whoever is ahead at a knot; inf: nobody
+    leader_mps: FloatArray  # [R, G]
+    stop_m: FloatArray  # [R] to a line to stop at; inf: none
+    area_m: FloatArray  # [R, K] to areas that others have to leave first; inf: none
+    open_s: FloatArray  # [R, K] when these may be entered
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """How R vehicles drive, at knots every `KNOT_S` from the start on."""
+
+    start_s: float
+    speed_mps: FloatArray  # [R, G]
+    acceleration_mps2: FloatArray  # [R, G]
+    travelled_m: FloatArray  # [R, G] from where the vehicle is now
+
+    @property
+    def braking_mps2(self) -> FloatArray:
+        """[R] the hardest; how it brakes as it starts is not the profile's."""
+        return np.asarray(np.maximum(-self.acceleration_mps2[:, 1:].min(axis=1), 0.0))
+
+    def tick_speed_mps(self) -> FloatArray:
+        """[R, F] at the end of each tick: the jerk is constant between knots."""
+        low, part_s = _TICK_KNOT, _TICK_PART_S
+        acceleration = self.acceleration_mps2
+        ramp = (acceleration[:, low + 1] - acceleration[:, low]) / KNOT_S
+        speed = self.speed_mps[:, low] + part_s * (acceleration[:, low] + 0.5 * part_s * ramp)
+        return np.asarray(np.maximum(speed, 0.0))
+
+    def arrival_s(self, distance_m: FloatArray) -> FloatArray:
+        """When distances [R, K] from here have been driven, from now; at most `FAR_S`.
+
+        At the last speed beyond the last knot, and no sooner than the profile starts.
+        """
+        own = self.travelled_m[:, None]
+        after = np.clip((own < distance_m[..., None]).sum(axis=-1), 1, KNOTS)
+        row = np.arange(len(own))[:, None]
+        high, low = self.travelled_m[row, after], self.travelled_m[row, after - 1]
+        within = (distance_m - low) / np.maximum(high - low, 1e-6)
+        left_m = np.maximum(distance_m - self.travelled_m[:, -1:], 0.0)
+        last = self.speed_mps[:, -1:]
+        # Who stands at the end has no arrival; who rolls goes on at its speed.
+        later = KNOTS * KNOT_S + left_m / np.maximum(last, 1e-3)
+        time_s = np.where(left_m > 0.0, later, (after - 1 + np.maximum(within, 0.0)) * KNOT_S)
+        return np.minimum(self.start_s + time_s, FAR_S)
+
+
+_TICK_S: Final = DT_S * np.arange(1, PROFILE_FRAMES + 1)
+_TICK_KNOT: Final = np.minimum((_TICK_S / KNOT_S + 1e-9).astype(np.int64), KNOTS - 1)
+_TICK_PART_S: Final = _TICK_S - KNOT_S * _TICK_KNOT
+
+
+def drive(approach: Approach) -> Profiles:
+    """The fastest profile within comfort that keeps to all of an approach.
+
+    At every knot the acceleration is the largest that keeps the vehicle (1) below what the road
+    allows, (2) able to stop behind its leader (Gipps 1981, eq. 4, with equal braking), (3) able to
+    stop at a line, (4) out of every area until it opens: braking evenly, so as to arrive as it
+    opens, and until `SURE_S` before that able to stop. Comfort is left where these ask for more.
+    """
+    count = len(approach.speed_mps)
+    shape = (KNOTS + 1, count)
+    speeds, accelerations, travels = np.empty(shape), np.empty(shape), np.empty(shape)
+    speed, travelled = np.maximum(approach.speed_mps, 0.0), approach.start_m
+    acceleration = np.clip(
+        approach.acceleration_mps2, -HARD_BRAKING_MPS2, COMFORT_ACCELERATION_MPS2
+    )
+    speeds[0], accelerations[0], travels[0] = speed, acceleration, travelled
+    places = _places(approach)
+    for knot in range(1, KNOTS + 1):
+        now = knot, speed, acceleration, travelled
+        wanted = np.minimum(_keep_out(approach, places, *now), _by_road(approach, *now[1:]))
+        jerk = np.where(wanted < -COMFORT_BRAKING_MPS2, HARD_JERK_MPS3, COMFORT_JERK_MPS3)
+        before = acceleration
+        most = np.minimum(before + COMFORT_JERK_MPS3 * KNOT_S, COMFORT_ACCELERATION_MPS2)
+        least = np.maximum(before - jerk * KNOT_S, -HARD_BRAKING_MPS2)
+        acceleration = np.minimum(np.maximum(wanted, least), most)
+        after = speed + 0.5 * KNOT_S * (before + acceleration)
+        # It stops rather than reverse, and starts again from an acceleration of nothing.
+        stopped = after < 0.0
+        if stopped.any():
+            acceleration = np.where(stopped, 0.0, acceleration)
+            after = np.maximum(after, 0.0)
+        step = KNOT_S * speed + KNOT_S**2 / 6.0 * (2.0 * before + acceleration)
+        travelled = travelled + np.maximum(step, 0.0)
+        speed = after
+        speeds[knot], accelerations[knot], travels[knot] = speed, acceleration, travelled
+    return Profiles(approach.start_s, speeds.T, accelerations.T, travels.T)
+
+
+def _by_road(
+    approach: Approach, speed: FloatArray, acceleration: FloatArray, travelled: FloatArray
+) -> FloatArray:
+    # Where it will be when the difference has been made up for.
+    last = approach.allowed_mps.shape[1] - 1.001
+    ahead = np.minimum((travelled + EASE_S * speed) / ROAD_STEP_M, last)
+    low = ahead.astype(np.int64)
+    row = np.arange(len(speed))
+    before, after = approach.allowed_mps[row, low], approach.allowed_mps[row, low + 1]
+    allowed = before + (ahead - low) * (after - before)
+    return np.maximum(_towards(allowed, speed, acceleration), -SLOWING_MPS2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """What vehicles keep out of: areas, then the line, last the leader."""
+
+    room_m: FloatArray  # [K + 2, R]; the leader's is of each knot
+    open_s: FloatArray  # [K, R]
+    braking_mps2: FloatArray  # [K + 2, 1] of the rule of each
+    slack_mps: FloatArray
+    short_m: FloatArray
+
+
+def _places(approach: Approach) -> _Places:
+    used = np.isfinite(approach.area_m).any(axis=0)
+    area_m = approach.area_m[:, used].T
+    rules = (*(AREA,) * len(area_m), LINE, LEADER)
+    column = np.array([(rule.braking_mps2, rule.time_s, rule.short_m) for rule in rules])
+    return _Places(
+        room_m=np.concatenate((area_m, approach.stop_m[None], approach.leader_m[None, :, 0])),
+        open_s=approach.open_s[:, used].T,
+        braking_mps2=column[:, :1],
+        slack_mps=column[:, :1] * column[:, 1:2],
+        short_m=column[:, 2:],
+    )
+
+
+def _keep_out(
+    approach: Approach,
+    places: _Places,
+    knot: int,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    travelled: FloatArray,
+) -> FloatArray:
+    """The largest acceleration [R] that keeps vehicles out of all places.
+
+    They stay able to stop so far before the end of their room, which may move on:
+    v t + v^2 / 2b = d + u^2 / 2b (Gipps 1981, eq. 4, with equal braking b). They brake harder than
+    planned only for the room itself.
+    """
+    braking, slack = places.braking_mps2, places.slack_mps
+    room = places.room_m - travelled
+    room[-1] = approach.leader_m[:, knot] - travelled
+    leader_square = approach.leader_mps[:, knot] ** 2
+    square = slack**2 + 2.0 * braking * (room - places.short_m)
+    square[-1] += leader_square
+    safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - slack, 0.0)
+    stops_m = 2.0 * np.maximum(room - 0.4 * places.short_m, 0.25)
+    needed = speed**2 / stops_m
+    needed[-1] = np.maximum(speed**2 - leader_square, 0.0) / stops_m[-1]
+    wanted = np.maximum(_towards(safe, speed, acceleration), -np.maximum(braking, 1.2 * needed))
+    wanted = np.where(needed > 0.8 * braking, np.minimum(wanted, -needed), wanted)
+    areas = len(places.open_s)
+    if areas:
+        left_s = places.open_s - (approach.start_s + (knot - 1) * KNOT_S)
+        wanted[:areas] = _in_time(left_s, room[:areas], speed, wanted[:areas])
+    return np.asarray(wanted.min(axis=0))
+
+
+def _in_time(
+    left_s: FloatArray, room_m: FloatArray, speed: FloatArray, stopping: FloatArray
+) -> FloatArray:
+    """Acceleration [K, R] to arrive at areas as they open, in `left_s`, or to stop before them."""
+    late_s = np.maximum(left_s, EASE_S)
+    even = 2.0 * (room_m - speed * late_s) / late_s**2
+    # What the last centimetres would take is not worth more than comfort.
+    sure = left_s > SURE_S
+    even = np.where(sure, even, np.maximum(even, -AREA.braking_mps2))
+    # Standing still before it opens is to stop, not to arrive.
+    stops = speed + even * late_s < 0.0
+    wanted = np.where(stops, stopping, np.where(sure, np.minimum(even, stopping), even))
+    return np.where(left_s > 0.0, wanted, np.inf)
+
+
+def _towards(wanted_mps: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Acceleration to a speed; what the present one still does until it has changed is counted."""
+    return np.asarray((wanted_mps - speed - LAG_S * acceleration) / EASE_S)

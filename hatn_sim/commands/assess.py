@@ -1,0 +1,326 @@
+"""Judge alerts and suggestions over many runs, by what really happened in them.
+
+One run for each scene, risk profile and seed, on all cores. HATN looks at all vehicles; its alerts
+are held against collisions (T1) and evasive braking (T2), beside those of simpler rules, each at
+the threshold at which it raises no more false alarms than HATN's does. False alarms are counted
+where drivers are courteous, if that is among the profiles. Finished runs stay in OUT/assessed; the
+same command with the same --out goes on where it was stopped.
+
+With --calibrate, a threshold is sought instead: that which recalls most at no more than
+--false-alarms per vehicle-hour, on seeds of its own. It is written to OUT/assist.toml.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from hatn_sim.commands.options import (
+    names,
+    seconds,
+    seconds_or_none,
+    seeds,
+    share,
+    whole_number,
+)
+from hatn_sim.resources import SUITES
+
+if TYPE_CHECKING:
+    from hatn_sim.assist.settings import AssistSettings
+    from hatn_sim.config import Scenario
+    from hatn_sim.datatypes import Score
+    from hatn_sim.evaluation.assessing import AssessPlan
+    from hatn_sim.score.assessed import AssessedRun
+    from hatn_sim.score.sweep import Operating
+
+EXAMPLES = """examples:
+  hatn-sim assess --scenes intersection5,roundabout8 --risk courteous,inattentive --seeds 401-440
+  hatn-sim assess --suite do_warn --seeds 401-440 --json
+  hatn-sim assess --scenes intersection5 --risk courteous,inattentive --calibrate
+"""
+HELD_OUT: Final = tuple(range(401, 441))
+FOR_CALIBRATION: Final = tuple(range(300, 340))
+DURATION_S: Final = 120.0
+FALSE_ALARMS_PER_HOUR: Final = 1.0
+RUNS_FOLDER: Final = "assessed"
+SETTINGS_FILE: Final = "assist.toml"
+CURVES_FILE: Final = "curves.csv"
+FIGURES: Final = ("curves.png", "curves.pdf")
+OURS: Final = "hatn"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hatn-sim assess`."""
+    parser.add_argument(
+        "--scenes", type=names, default=(), metavar="A,B", help="names of scenes, or .sumocfg files"
+    )
+    parser.add_argument("--suite", choices=SUITES, help="instead: all scenes of a scripted suite")
+    parser.add_argument(
+        "--risk",
+        type=names,
+        default=(),
+        metavar="PROFILE,PROFILE",
+        help="who drives: courteous, assertive, inattentive (default: all that a scene knows)",
+    )
+    parser.add_argument("--density", metavar="light|normal|dense", help="how much traffic")
+    parser.add_argument(
+        "--seeds",
+        type=seeds,
+        metavar="A-B",
+        help="of the traffic (default: 401-440; with --calibrate 300-339)",
+    )
+    parser.add_argument(
+        "--duration",
+        type=seconds,
+        default=DURATION_S,
+        metavar="S",
+        help="of each run (default: 120)",
+    )
+    parser.add_argument(
+        "--warm-up",
+        type=seconds_or_none,
+        metavar="S",
+        help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours)",
+    )
+    parser.add_argument(
+        "--rules", type=names, metavar="A,B", help="alert rules to compare (default: all)"
+    )
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="weights of hatn")
+    parser.add_argument(
+        "--assist-settings",
+        type=Path,
+        metavar="FILE.toml",
+        help="thresholds of assistance, as --calibrate writes them (default: those that ship)",
+    )
+    parser.add_argument(
+        "--counterfactuals",
+        type=share,
+        default=0.0,
+        metavar="RATE",
+        help="share of alerts and suggestions that are judged by branches of the simulation, up to "
+        "1 (default: none)",
+    )
+    parser.add_argument(
+        "--calibrate", action="store_true", help="seek the threshold of HATN's alerts"
+    )
+    parser.add_argument(
+        "--false-alarms",
+        type=seconds,
+        default=FALSE_ALARMS_PER_HOUR,
+        metavar="N",
+        help="with --calibrate: at most so many in an hour of a vehicle (default: 1)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole_number,
+        metavar="N",
+        help="runs made at once (default: as many as there are cores)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="where runs, figures and numbers go (default: the first free runs/assess-N)",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    parser.add_argument("--quiet", action="store_true", help="no progress, no notices")
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Make the runs; score, print, draw, or calibrate."""
+    from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+
+    out = free_or_own_folder(arguments.out, "assess")
+    runs = make_runs(arguments, out)
+    return _calibrate(arguments, out, runs) if arguments.calibrate else _tell(arguments, out, runs)
+
+
+def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
+    """All runs that are asked for, made where they are not there.
+
+    Raises HatnSimError, and KeyboardInterrupt, where one of them fails; the others stay.
+    """
+    from hatn_sim.commands.evaluate_predictors import cores
+    from hatn_sim.commands.progress import RunsProgress
+    from hatn_sim.datatypes import DT_S
+    from hatn_sim.errors import HatnSimError
+    from hatn_sim.evaluation.assessing import is_assessed, make_assessed
+    from hatn_sim.evaluation.pool import work_on
+    from hatn_sim.score.assessed import read_assessed
+
+    plans = list(_plans(arguments, out))
+    wanted = [plan for plan in plans if not is_assessed(plan)]
+    if len(wanted) < len(plans) and not arguments.quiet:
+        there = len(plans) - len(wanted)
+        said = f"hatn-sim: {there} of {len(plans)} runs are in {out / RUNS_FOLDER} already"
+        print(said, file=sys.stderr)
+    stays = f"finished runs stay in {out}, and the same command with --out {out} goes on with them"
+    labels, frames = [plan.label for plan in wanted], [plan.frames for plan in wanted]
+    try:
+        with RunsProgress(labels, frames, DT_S, arguments.quiet) as progress:
+            workers = arguments.workers or cores()
+            for number, done in work_on(make_assessed, wanted, workers, progress.show):
+                progress.finish(number, done)
+    except HatnSimError as error:
+        raise type(error)(f"{error}; {stays}" if out.exists() else str(error)) from None
+    except KeyboardInterrupt:
+        if out.exists():
+            print(f"hatn-sim: {stays}", file=sys.stderr)
+        raise
+    runs = [read_assessed(plan.out) for plan in plans]
+    if not arguments.quiet:
+        for notice in dict.fromkeys(f"{run.scene}: {line}" for run in runs for line in run.notices):
+            print(f"hatn-sim: {notice}", file=sys.stderr)
+    return runs
+
+
+def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
+    """Every seed of every profile of every scene."""
+    from hatn_sim.assist.baselines import RULES
+    from hatn_sim.commands.options import default_warm_up_s
+    from hatn_sim.commands.versions import installed
+    from hatn_sim.errors import InputError, nearest
+    from hatn_sim.evaluation.assessing import AssessPlan
+
+    rules: tuple[str, ...] = arguments.rules or tuple(RULES)
+    for name in rules:
+        if name not in RULES:
+            raise InputError(f"--rules: unknown rule {name!r}{nearest(name, RULES)}")
+    settings = _settings(arguments)
+    for_seeds = arguments.seeds or (FOR_CALIBRATION if arguments.calibrate else HELD_OUT)
+    for scenario in _scenarios(arguments):
+        warm_up_s = default_warm_up_s(scenario)
+        warm_up_s = warm_up_s if arguments.warm_up is None else arguments.warm_up
+        profile = "" if scenario.risk is None else f", {scenario.risk}"
+        for seed in for_seeds:
+            label = f"{scenario.name}{profile}, seed {seed}"
+            yield AssessPlan(
+                label=label,
+                out=out / RUNS_FOLDER / (re.sub(r"[^\w.-]+", "-", label) + ".npz"),
+                scenario=scenario,
+                seed=seed,
+                warm_up_s=warm_up_s,
+                duration_s=arguments.duration,
+                weights=arguments.weights,
+                rules=rules,
+                settings=settings,
+                counterfactuals=arguments.counterfactuals,
+                made_with={
+                    "scene": scenario.name,
+                    "density": scenario.density,
+                    "risk": scenario.risk,
+                    "seed": seed,
+                    "warm_up_s": warm_up_s,
+                    "duration_s": arguments.duration,
+                    "rules": list(rules),
+                    "settings": asdict(settings),
+                    "counterfactuals": arguments.counterfactuals,
+                    "weights": _sha256(arguments.weights),
+                    "versions": installed(),
+                },
+            )
+
+
+def _settings(arguments: argparse.Namespace) -> AssistSettings:
+    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
+
+    path: Path | None = arguments.assist_settings
+    return AssistSettings() if path is None else read_assist_settings(path)
+
+
+def _scenarios(arguments: argparse.Namespace) -> Iterator[Scenario]:
+    """The scenes that are named, each with each of its risk profiles that are wanted."""
+    from hatn_sim.config import load_scenario
+    from hatn_sim.errors import InputError
+    from hatn_sim.resources import scenes_of_suite
+
+    words: Sequence[str] = arguments.scenes
+    if arguments.suite is not None:
+        if words:
+            raise InputError(f"either --suite {arguments.suite} or --scenes; drop one")
+        words = scenes_of_suite(arguments.suite)
+    if not words:
+        raise InputError("name scenes with --scenes A,B, or a --suite")
+    for word in words:
+        scenario = load_scenario(word, arguments.density, None)
+        if scenario.recorded is not None:
+            raise InputError(f"{word}: recorded traffic has no seeds to assess; name a scene")
+        risks = arguments.risk or scenario.risks
+        for risk in risks or (None,):
+            yield load_scenario(word, arguments.density, risk)
+
+
+def _sha256(path: Path | None) -> str | None:
+    """Of the weights' file; None: those that ship."""
+    import hashlib
+
+    from hatn_sim.errors import InputError
+
+    try:
+        return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"--weights {path}: cannot be read ({error.strerror})") from None
+
+
+def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun]) -> int:
+    from hatn_sim.commands.console import make_console
+    from hatn_sim.evaluation.comparison import compare_rules, curves_of, write_curves
+    from hatn_sim.report.assistance_figure import draw_curves
+    from hatn_sim.report.assistance_table import assistance_table
+    from hatn_sim.report.table import scores_json, write_scores
+
+    settings = _settings(arguments)
+    curves: dict[str, dict[str, list[Operating]]] = curves_of(runs, settings)
+    scores: list[Score] = compare_rules(runs, curves, settings)
+    path = write_scores(out, scores)
+    write_curves(out / CURVES_FILE, curves)
+    draw_curves(curves, [out / name for name in FIGURES])
+    if not arguments.quiet and not any(s.n for s in scores if s.measure == "event_recall"):
+        said = "no collision and no evasive braking in these runs: recall has no value"
+        print(f"hatn-sim: {said}", file=sys.stderr)
+    if arguments.json:
+        print(scores_json(scores))
+        return 0
+    make_console().print(assistance_table(scores))
+    print(f"scores in {path}, curves in {out / CURVES_FILE} and {out / FIGURES[0]}")
+    print(f"runs in {out / RUNS_FOLDER}")
+    return 0
+
+
+def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun]) -> int:
+    from hatn_sim.errors import HatnSimError, InputError
+    from hatn_sim.score.sweep import best_within, sweep, thresholds_of
+
+    if OURS not in runs[0].traces:
+        raise InputError(f"--rules: --calibrate is of {OURS}; add it")
+    settings = _settings(arguments)
+    curve = sweep(runs, OURS, thresholds_of(runs, OURS), settings)
+    best = best_within(curve, arguments.false_alarms)
+    if best is None:
+        raise HatnSimError(
+            f"no threshold keeps within {arguments.false_alarms:g} false alarms per vehicle-hour; "
+            "allow more with --false-alarms, or add runs"
+        )
+    # Rounded up, so that what is written is as strict.
+    onset = math.ceil(100.0 * best.threshold) / 100.0
+    release = settings.alert_end_mps2 / settings.alert_onset_mps2
+    found = replace(settings, alert_onset_mps2=onset, alert_end_mps2=round(release * onset, 3))
+    path = out / SETTINGS_FILE
+    lines = [f"{field.name} = {getattr(found, field.name)}" for field in fields(found)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    print(
+        f"alerts from {onset:g} m/s2 on: {best.false_alarms_per_hour:.2f} false alarms per "
+        f"vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "
+        f"{_percent(best.recall_1s5)} by 1.5 s or more; settings in {path}"
+    )
+    return 0
+
+
+def _percent(share: float) -> str:
+    return "none" if math.isnan(share) else f"{100.0 * share:.1f} %"

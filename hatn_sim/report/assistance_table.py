@@ -1,0 +1,108 @@
+"""Scores of assistance as tables for a console: alerts of every rule, then suggestions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from hatn_sim.datatypes import Score
+
+ALERTS: Final = {
+    "event_recall": "recall",
+    "recall_1s5": "1.5 s ahead",
+    "lead_time_s": "lead",
+    "precision": "precision",
+    "false_alarms_per_hour": "false/h",
+    "near_alarms_per_hour": "near/h",
+    "duplicates": "again",
+}
+SUGGESTIONS: Final = {
+    "suggestion_agreement": "agreement",
+    "always_yield_agreement": "always yield",
+    "suggestion_ece": "ECE",
+    "suggestion_brier": "Brier",
+    "suggestion_switches": "switches",
+    "suggestion_abstained": "abstained",
+}
+WHAT_IF: Final = {
+    "useful_share": "useful",
+    "harmful_share": "harmful",
+    "unneeded_share": "unneeded",
+    "regret": "regret",
+    "always_yield_regret": "always yield",
+    "driver_regret": "driver",
+}
+NONE: Final = "-"
+
+
+def assistance_table(scores: Sequence[Score]) -> Group:
+    """The scores of every scene and risk profile; each value over its 95 % interval."""
+    parts: list[Table | Text] = []
+    by_key = {(s.scene, s.subset, s.predictor, s.measure): s for s in scores}
+    for scene, risk in dict.fromkeys((score.scene, score.subset) for score in scores):
+        rules = dict.fromkeys(s.predictor for s in scores if (s.scene, s.subset) == (scene, risk))
+        events = by_key.get((scene, risk, next(iter(rules)), "event_recall"))
+        count = 0 if events is None else events.n
+        title = f"{scene}, {risk} drivers: alerts on {count} events (T1 and T2)"
+        parts += [_table(title, "rule", list(rules), ALERTS, by_key, scene, risk), Text()]
+        advised = [rule for rule in rules if (scene, risk, rule, "suggestion_ece") in by_key]
+        title = f"{scene}, {risk} drivers: suggestions"
+        parts += [_table(title, "of", advised, SUGGESTIONS, by_key, scene, risk), Text()]
+        judged = [rule for rule in rules if (scene, risk, rule, "regret") in by_key]
+        if judged:
+            title = f"{scene}, {risk} drivers: what obeying would have changed"
+            parts += [_table(title, "of", judged, WHAT_IF, by_key, scene, risk), Text()]
+    note = (
+        "[low high] 95 % interval, bootstrapped over runs; near: alerts that meet a close "
+        "encounter or a brief braking only"
+    )
+    if any(score.predictor == "oracle" for score in scores):
+        note += "; rules beside hatn: at no more false alarms than it"
+    return Group(*parts, Text(note, style="dim"))
+
+
+def _table(
+    title: str,
+    head: str,
+    rows: Sequence[str],
+    measures: Mapping[str, str],
+    by_key: Mapping[tuple[str, str, str, str], Score],
+    scene: str,
+    risk: str,
+) -> Table:
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    table.add_column(head, min_width=9, max_width=18, overflow="fold")
+    for name in measures.values():
+        table.add_column(name, justify="right", no_wrap=True)
+    for rule in rows:
+        cells = [_cell(by_key.get((scene, risk, rule, measure))) for measure in measures]
+        table.add_row(rule.replace("_", " "), *cells)
+    return table
+
+
+def _cell(score: Score | None) -> str:
+    if score is None or score.value is None:
+        return NONE
+    cell = _number(score.value, score.unit)
+    if score.low is not None and score.high is not None:
+        low, high = (_number(value, score.unit).rstrip(" %s") for value in (score.low, score.high))
+        cell += f"\n[{low} {high}]"
+    return cell
+
+
+def _number(value: float, unit: str) -> str:
+    if unit == "share":
+        return f"{100.0 * value:.{0 if value == 1.0 else 1}f} %"
+    digits = 2 if abs(value) < 10.0 else 1 if abs(value) < 100.0 else 0
+    return f"{value:.{digits}f}" + (" s" if unit == "s" else "")

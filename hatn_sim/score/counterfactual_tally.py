@@ -1,0 +1,98 @@
+"""What the lines of `counterfactuals.jsonl` come to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from hatn_sim.score.counterfactual import (
+    HARMFUL,
+    UNAVAILING,
+    UNNEEDED,
+    USEFUL,
+    CounterfactualSettings,
+)
+
+VERDICTS = (USEFUL, UNNEEDED, HARMFUL, UNAVAILING)
+
+
+@dataclass(frozen=True)
+class Regrets:
+    """Mean regrets over n suggestions; None where there are none."""
+
+    n: int
+    advised: float | None
+    always_yield: float | None
+    driver: float | None  # the cost of what the driver did, less that of the best slot
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Counts over one or more runs."""
+
+    verdicts: Mapping[str, int]  # of alerts; every verdict is there
+    regrets: Regrets
+    regrets_where_differs: Regrets  # the driver is known to have taken another slot than advised
+    lost: int  # alerts and suggestions of which a branch was lost
+
+    @property
+    def alerts(self) -> int:
+        """Alerts with a verdict."""
+        return sum(self.verdicts.values())
+
+    @property
+    def alerts_on_events(self) -> int:
+        """Alerts with an event in the unmodified branch, or one caused by obeying."""
+        return self.alerts - self.verdicts[UNNEEDED]
+
+
+def tally(lines: Iterable[Mapping[str, Any]]) -> Tally:
+    """Adds lines up."""
+    lines = list(lines)
+    whole = [line for line in lines if not line["lost"]]
+    alerts = [line["verdict"] for line in whole if line["about"] == "alert"]
+    suggestions = [line for line in whole if line["about"] == "suggestion"]
+    differs = [
+        line for line in suggestions if line["driver_slot_id"] not in (None, line["slot_id"])
+    ]
+    return Tally(
+        verdicts={verdict: alerts.count(verdict) for verdict in VERDICTS},
+        regrets=_regrets(suggestions),
+        regrets_where_differs=_regrets(differs),
+        lost=len(lines) - len(whole),
+    )
+
+
+def _regrets(lines: Sequence[Mapping[str, Any]]) -> Regrets:
+    def mean(key: str) -> float | None:
+        return float(np.mean([line[key] for line in lines])) if lines else None
+
+    keys = ("regret", "always_yield_regret", "driver_regret")
+    return Regrets(len(lines), *map(mean, keys))
+
+
+def tally_words(found: Tally, settings: CounterfactualSettings) -> list[str]:
+    """Lines for people, with how costs were weighed."""
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in found.verdicts.items())
+    words = [f"counterfactuals: {found.alerts} alerts judged: {counts}"]
+    for regrets, which in (
+        (found.regrets, "suggestions judged"),
+        (found.regrets_where_differs, "of these where the driver took another slot"),
+    ):
+        words.append(f"{regrets.n} {which}{_regret_words(regrets)}")
+    if found.lost:
+        words.append(f"{found.lost} not judged: a branch was lost")
+    weights = ", ".join(f"{key} {value:g}" for key, value in asdict(settings).items())
+    return [*words, f"settings of counterfactuals: {weights}"]
+
+
+def _regret_words(regrets: Regrets) -> str:
+    if regrets.advised is None or regrets.always_yield is None or regrets.driver is None:
+        return ""
+    return (
+        f": mean regret {regrets.advised:.2f} "
+        f"(always to yield {regrets.always_yield:.2f}, the driver {regrets.driver:.2f})"
+    )

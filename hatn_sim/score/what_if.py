@@ -1,0 +1,260 @@
+"""Asks a running simulation what would come of its advice, by sample, and tells it in lines.
+
+Whoever steps the simulation shows it every moment with the advice given; what is asked then is
+driven by branches beside the run, which goes on as if nobody had asked. The lines are those of
+`counterfactuals.jsonl`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from hatn_sim.assist.outlook import look_ahead
+from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
+from hatn_sim.datatypes import (
+    Advice,
+    Alert,
+    Branch,
+    BranchFuture,
+    Frame,
+    Plan,
+    SemanticGraphs,
+    Simulator,
+    Suggestion,
+)
+from hatn_sim.errors import InputError
+from hatn_sim.labels import slot_label, trajectories_from_rows
+from hatn_sim.score.counterfactual import (
+    CounterfactualSettings,
+    driven_in_branch,
+    judge_alert,
+    regret,
+    slot_costs,
+)
+
+WAITED_FRAMES: Final = 2
+"""Branches are asked for so many frames after they were started: by then most are done."""
+YIELD: Final = 0
+Line = dict[str, Any]
+
+
+def is_sampled(rate: float, seed: int, *names: object) -> bool:
+    """Whether something falls into a sample of this rate: the same for the same names and seed."""
+    text = "|".join(map(str, (seed, *names)))
+    digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
+    return int.from_bytes(digest) < rate * 2**64
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """Branches under way, and what to make of them: (as it is, the changed ones) -> a line."""
+
+    frame: int
+    facts: Line
+    as_it_is: BranchFuture
+    changed: Sequence[BranchFuture]
+    judge: Callable[[Branch, list[Branch]], Line]
+
+
+class WhatIf:
+    """Judges a sample of the alerts and suggestions of a run.
+
+    Alerts are asked about at their onset, suggestions when another slot is advised than before,
+    never those that abstain. A warned ego obeys by the profile of the slot it is advised, or of
+    yielding where it is advised none.
+    """
+
+    def __init__(
+        self, simulator: Simulator, rate: float, seed: int, settings: CounterfactualSettings
+    ) -> None:
+        """Raises InputError where the rate is no share, or the simulator cannot branch."""
+        if not 0.0 < rate <= 1.0:
+            raise InputError(f"counterfactuals: expected a rate above 0 up to 1, found {rate:g}")
+        if simulator.cannot_branch is not None:
+            raise InputError(f"{simulator.name}: no branches: {simulator.cannot_branch}")
+        self._simulator = simulator
+        self._rate, self._seed, self._settings = rate, seed, settings
+        self._advised = SuggestionState()
+        self._told: dict[str, tuple[str, str | None]] = {}
+        self._asked: deque[_Asked] = deque()
+
+    def see(self, index: int, frame: Frame, advice: Advice) -> list[Line]:
+        """Starts what is to be asked of this moment; returns lines of earlier ones."""
+        graphs = advice.prediction.graphs
+        if graphs is not None:
+            self._advised = SuggestionState(
+                stopped=stopped_at_line(self._advised.stopped, frame.scene, graphs)
+            )
+            self._ask(index, frame, advice, graphs)
+        return self._lines(index - WAITED_FRAMES)
+
+    def finish(self) -> list[Line]:
+        """The lines of all that is still under way."""
+        return self._lines(None)
+
+    def _ask(self, index: int, frame: Frame, advice: Advice, graphs: SemanticGraphs) -> None:
+        alerts = [one for one in advice.alerts if one.edge == "onset" and self._samples(index, one)]
+        suggestions = [
+            one for one in self._changed(advice.suggestions) if self._samples(index, one)
+        ]
+        row_of = {graphs.ids[v]: e for e, v in enumerate(graphs.ego.tolist())}
+        wanted: list[tuple[Alert | Suggestion, int, list[int]]] = []
+        for alert in alerts:
+            row = row_of.get(alert.ego_id)
+            if row is not None:
+                slot = _slot_advised(alert.ego_id, row, graphs, advice.suggestions)
+                wanted.append((alert, row, [slot]))
+        for suggestion in suggestions:
+            row = row_of[suggestion.ego_id]
+            wanted.append((suggestion, row, np.flatnonzero(graphs.focus_mask[row]).tolist()))
+        if not wanted:
+            return
+        plans = self._plans(
+            frame, advice, [(row, slot) for _, row, many in wanted for slot in many]
+        )
+        futures = iter(
+            self._simulator.branch([(), *((plan,) for plan in plans)], self._settings.horizon_s)
+        )
+        as_it_is = next(futures)
+        for what, row, slots in wanted:
+            changed = [next(futures) for _ in slots]
+            facts: Line = {"frame": index, "time_s": frame.scene.time_s, "ego_id": what.ego_id}
+            names = [_slot_id(graphs, row, slot) for slot in slots]
+            if isinstance(what, Alert):
+                facts |= {"about": "alert", "alert_id": what.alert_id, "type": what.type}
+                facts |= {"other_id": what.other_id, "obeyed_slot_id": names[0]}
+                judge = _alert_judge(what)
+            else:
+                advised = _advised_slot(what, row, graphs)
+                facts |= {"about": "suggestion", "action": what.action}
+                facts |= {"slot_id": _slot_id(graphs, row, advised)}
+                place = slots.index(advised)
+                judge = _suggestion_judge(what.ego_id, graphs, row, slots, place, self._settings)
+            self._asked.append(_Asked(index, facts, as_it_is, changed, judge))
+
+    def _samples(self, index: int, what: Alert | Suggestion) -> bool:
+        other = what.other_id if isinstance(what, Alert) else what.slot_id
+        return is_sampled(self._rate, self._seed, type(what).__name__, index, what.ego_id, other)
+
+    def _changed(self, suggestions: Sequence[Suggestion]) -> list[Suggestion]:
+        """Those that say something else than the last time; whom to let go first may change."""
+        now = {
+            one.ego_id: (one.action, one.slot_id if one.action == "pass" else None)
+            for one in suggestions
+        }
+        changed = [
+            one
+            for one in suggestions
+            if one.action != "abstain" and self._told.get(one.ego_id) != now[one.ego_id]
+        ]
+        self._told = now
+        return changed
+
+    def _plans(self, frame: Frame, advice: Advice, pairs: list[tuple[int, int]]) -> list[Plan]:
+        """For pairs of a graph and one of its slots."""
+        graphs, settings = advice.prediction.graphs, self._settings
+        chances = advice.prediction.slot_probability
+        assert graphs is not None and chances is not None
+        row, slot = np.array(pairs, np.int64).T
+        outlook = look_ahead(self._simulator.road, frame.scene, advice.prediction)
+        profiles = slot_profiles(self._advised, outlook, row, slot, chances, settings.reaction_s)
+        return [
+            Plan(graphs.ids[graphs.ego[e]], settings.reaction_s, speed_mps, settings.blend_s)
+            for e, speed_mps in zip(row.tolist(), profiles.tick_speed_mps(), strict=True)
+        ]
+
+    def _lines(self, up_to: int | None) -> list[Line]:
+        lines: list[Line] = []
+        while self._asked and (up_to is None or self._asked[0].frame <= up_to):
+            asked = self._asked.popleft()
+            as_it_is = asked.as_it_is.result()
+            changed = [future.result() for future in asked.changed]
+            whole = [branch for branch in changed if branch is not None]
+            if as_it_is is None or len(whole) < len(changed):
+                lines.append(asked.facts | {"lost": True})
+            else:
+                lines.append(asked.facts | {"lost": False} | asked.judge(as_it_is, whole))
+        return lines
+
+
+def _slot_id(graphs: SemanticGraphs, row: int, slot: int) -> str:
+    """The vehicle behind a slot: whom to pass before; the ego itself on yield."""
+    return graphs.ids[int(graphs.rear[row, slot])]
+
+
+def _advised_slot(suggestion: Suggestion, row: int, graphs: SemanticGraphs) -> int:
+    if suggestion.action != "pass":
+        return YIELD
+    rear = [graphs.ids[v] if v >= 0 else None for v in graphs.rear[row].tolist()]
+    return rear.index(suggestion.slot_id)
+
+
+def _slot_advised(
+    ego_id: str, row: int, graphs: SemanticGraphs, suggestions: Sequence[Suggestion]
+) -> int:
+    own = [one for one in suggestions if one.ego_id == ego_id]
+    return _advised_slot(own[0], row, graphs) if own else YIELD
+
+
+def _alert_judge(alert: Alert) -> Callable[[Branch, list[Branch]], Line]:
+    def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
+        return asdict(judge_alert(as_it_is, changed[0], alert.ego_id, alert.other_id))
+
+    return judge
+
+
+def _suggestion_judge(
+    ego_id: str,
+    graphs: SemanticGraphs,
+    row: int,
+    slots: Sequence[int],
+    advised: int,
+    settings: CounterfactualSettings,
+) -> Callable[[Branch, list[Branch]], Line]:
+    def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
+        *costs, drivers = slot_costs([*changed, as_it_is], ego_id, settings)
+        totals = [cost.total for cost in costs]
+        taken = slot_taken(as_it_is, graphs, row)
+        return {
+            "slots": [
+                {"slot_id": _slot_id(graphs, row, slot), **asdict(cost)}
+                for slot, cost in zip(slots, costs, strict=True)
+            ],
+            "driver": asdict(drivers),
+            "driver_slot_id": None if taken is None else _slot_id(graphs, row, taken),
+            "regret": regret(totals, advised),
+            "always_yield_regret": regret(totals, slots.index(YIELD)),
+            "driver_regret": drivers.total - min(totals),
+        }
+
+    return judge
+
+
+def slot_taken(branch: Branch, graphs: SemanticGraphs, row: int) -> int | None:
+    """The slot of a graph that its ego takes in a branch of that moment; None: not to be told."""
+    driven = driven_in_branch(branch)
+    trajectories = trajectories_from_rows(
+        driven.ids, driven.vehicle, driven.frame, driven.xy_m, len(driven.time_s)
+    )
+    number = {name: v for v, name in enumerate(driven.ids)}
+    rear = graphs.rear[row]
+    known = [graphs.ids[v] in number if v >= 0 else False for v in rear.tolist()]
+    node = [number[graphs.ids[v]] if ok else -1 for v, ok in zip(rear.tolist(), known, strict=True)]
+    one = slice(row, row + 1)
+    taken = slot_label(
+        trajectories,
+        np.array([number[graphs.ids[int(graphs.ego[row])]]]),
+        np.zeros(1, np.int64),
+        np.array([node], np.int64),
+        graphs.focus_mask[one] & np.array([known]),
+        graphs.ego_to_conflict_m[one],
+        graphs.rear_to_conflict_m[one],
+        graphs.conflict_xy_m[one],
+    )
+    return int(taken[0]) if taken[0] >= 0 else None

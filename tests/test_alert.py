@@ -1,0 +1,236 @@
+"""Alert rules at hand-drawn moments, intervals of alerts, and their settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import crossing_lanes, scene_of
+
+from hatn_sim.assist.alert import AlertState, alert
+from hatn_sim.assist.baselines import RULES
+from hatn_sim.assist.danger import hatn_rule, kept_travel_m
+from hatn_sim.assist.moment import DEVIATION, TYPES, Moment, PairDangers, Recent
+from hatn_sim.assist.settings import AssistSettings, read_assist_settings
+from hatn_sim.datatypes import Alert, Prediction
+from hatn_sim.errors import InputError
+from hatn_sim.graph import build_graphs
+from hatn_sim.perception import begin, perceive
+from hatn_sim.predictors.constant_velocity import extrapolate
+from hatn_sim.road import Road
+from hatn_sim.score.dangers import DangerRecorder, alerts_at
+
+NORTH = np.pi / 2
+
+
+def moment(
+    east: tuple[float, float, float], north: tuple[float, float, float], north_yields: float = 0.0
+) -> Moment:
+    """Two cars before the crossing: way to its middle, speed, acceleration; predicted to go on.
+
+    A second ago, the car from the south was to yield with a probability.
+    """
+    state = begin(Road(crossing_lanes()))
+    for frame in range(11):
+        ago_s = 0.1 * (10 - frame)
+        rows = []
+        for to_go_m, speed_mps, gain_mps2 in (east, north):
+            back_m = speed_mps * ago_s - 0.5 * gain_mps2 * ago_s**2
+            rows.append((-to_go_m - back_m, speed_mps - gain_mps2 * ago_s))
+        vehicles = {
+            "a": (rows[0][0], 0.0, 0.0, rows[0][1]),
+            "b": (0.0, rows[1][0], NORTH, rows[1][1]),
+        }
+        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
+    seen, graphs = state.seen, build_graphs(state.road, state.seen)
+    chances = np.zeros(graphs.node_mask.shape)
+    chances[:, :2] = [[0.5, 0.5], [north_yields, 1.0 - north_yields]]
+    prediction = Prediction(
+        ids=seen.scene.ids,
+        xy_m=extrapolate(seen.scene)[:, None],
+        mode_probability=np.ones((2, 1)),
+        fallback=np.zeros(2, dtype=np.bool_),
+        adapted=np.zeros(2, dtype=np.bool_),
+        lines=seen.lines,
+        graphs=graphs,
+        slot_probability=chances,
+    )
+    return Moment(state.road, seen, prediction, prediction)
+
+
+def test_two_who_go_on_into_each_other_are_in_danger() -> None:
+    found = hatn_rule(moment((20.0, 9.0, 0.0), (20.0, 9.0, 0.0)))
+    assert {*found.first.tolist(), *found.second.tolist()} == {0, 1}
+    # After 1 s both are 7.5 m before the area at 9 m/s; the other is out of it 14.5 m later.
+    t = 14.5 / 9.0
+    np.testing.assert_allclose(found.danger, [2.0 * (9.0 * t - 7.5) / t**2], rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("east", "north"),
+    [
+        ((20.0, 9.0, 0.0), (20.0, 9.0, -6.0)),  # one brakes, and will stand before
+        ((20.0, 9.0, 0.0), (60.0, 9.0, 0.0)),  # one comes long after the other
+        ((55.0, 9.0, 0.0), (55.0, 9.0, 0.0)),  # both come late
+    ],
+)
+def test_who_is_not_about_to_meet_is_in_no_danger(
+    east: tuple[float, float, float], north: tuple[float, float, float]
+) -> None:
+    assert not len(hatn_rule(moment(east, north)).danger)
+
+
+def test_danger_grows_where_they_speed_up_and_is_small_far_away() -> None:
+    steady, faster, far = (
+        float(hatn_rule(moment((way, 5.0, gain), (way, 5.0, gain))).danger[0])
+        for way, gain in ((14.0, 0.0), (14.0, 2.0), (20.0, 0.0))
+    )
+    assert far < steady < faster
+
+
+def test_who_was_to_yield_and_goes_first_deviates() -> None:
+    sure = hatn_rule(moment((22.0, 9.0, 0.0), (20.0, 9.0, 0.0), north_yields=0.99))
+    assert sure.type is not None
+    assert [TYPES[kind] for kind in sure.type] == ["DEVIATION"]
+    assert (sure.first.tolist(), sure.second.tolist()) == ([1], [0])  # who deviates, first
+    unsure = hatn_rule(moment((22.0, 9.0, 0.0), (20.0, 9.0, 0.0), north_yields=0.6))
+    assert unsure.type is not None
+    assert [TYPES[kind] for kind in unsure.type] == ["CONFLICT"]
+    np.testing.assert_allclose(sure.danger, unsure.danger)
+
+
+def test_kept_motion_ends_at_a_standstill_and_at_the_fastest() -> None:
+    travelled = kept_travel_m(np.array([3.0, 13.0, 20.0]), np.array([-3.0, 5.0, 0.0]))
+    np.testing.assert_allclose(travelled[0, -1], sum(3.0 - 0.3 * k for k in range(1, 11)) * 0.1)
+    assert travelled[1, -1] < 14.0 * 3.0
+    np.testing.assert_allclose(travelled[2, -1], 60.0)
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_every_rule_knows_danger_from_none(name: str) -> None:
+    bad = RULES[name](moment((20.0, 9.0, 0.0), (20.0, 9.0, 0.0)))
+    good = RULES[name](moment((30.0, 4.0, 0.0), (25.0, 9.0, 0.0)))
+    assert len(bad.danger) == (name != "never")
+    assert len(good.danger) == (name == "always")
+
+
+def test_baselines_by_hand() -> None:
+    # a: 16.5 m to the area at 9 m/s; b: 16.5 m at 10 m/s, out of it after 23.5 m.
+    found = {
+        name: float(RULES[name](moment((20.0, 9.0, 0.0), (20.0, 10.0, 0.0))).danger[0])
+        for name in ("time_to_collision", "encroachment")
+    }
+    np.testing.assert_allclose(found["time_to_collision"], 9.0 / 16.5, rtol=0.02)
+    np.testing.assert_allclose(found["encroachment"], 5.0 - (16.5 / 9 - 23.5 / 10), rtol=0.02)
+
+
+# ---------------------------------------------------------------------------------------------
+# Intervals
+
+SETTINGS = AssistSettings()
+SCENE = scene_of(0.0, {"b": (0.0, 0.0, 0.0, 1.0), "a": (9.0, 0.0, 0.0, 1.0)})
+
+
+def edges_of(
+    dangers: Sequence[float], egos: frozenset[str] | None = None, kind: int = 0
+) -> list[Alert]:
+    """Edges told of a pair, whose danger is told every 0.1 s and 0 in the end."""
+    state, told = AlertState(), []
+    for frame, danger in enumerate([*dangers, *[0.0] * 40]):
+        scene = scene_of(0.1 * frame, {"b": (0.0, 0.0, 0.0, 1.0), "a": (9.0, 0.0, 0.0, 1.0)})
+        found = PairDangers(np.array([0]), np.array([1]), np.array([danger]), np.array([kind]))
+        state, edges = alert(state, scene, found, SETTINGS, egos)
+        told += edges
+    assert not state.open
+    return told
+
+
+def test_an_alert_begins_peaks_and_ends() -> None:
+    on, end = SETTINGS.alert_onset_mps2, SETTINGS.alert_end_mps2
+    told = edges_of([0.5, on, 4.5, end, end - 0.01, 0.0])
+    assert [one.edge for one in told] == ["onset", "peak", "end"]
+    assert [round(one.time_s, 1) for one in told] == [0.1, 0.2, 0.3]
+    assert [one.severity for one in told] == pytest.approx([on / 9.0, 0.5, 0.5])
+    assert {(one.alert_id, one.ego_id, one.other_id) for one in told} == {("a00001", "b", "a")}
+    assert told[0].reason == "both need to brake at 1.8 m/s2 or more not to meet"
+    assert told[1].reason == "both need to brake at 4.5 m/s2 or more not to meet"
+
+
+def test_danger_that_comes_back_soon_is_the_same_alert() -> None:
+    back = [3.0, *[0.0] * 19, 3.0]
+    late = [3.0, *[0.0] * 20, 3.0]
+    assert [one.edge for one in edges_of(back)] == ["onset", "peak", "end"]
+    assert [one.edge for one in edges_of(late)] == ["onset", "peak", "end"] * 2
+
+
+def test_egos_choose_whose_alerts_are_told_and_who_is_ego() -> None:
+    assert edges_of([3.0], frozenset()) == []
+    assert edges_of([3.0], frozenset({"else"})) == []
+    assert {one.ego_id for one in edges_of([3.0], frozenset({"a"}))} == {"a"}
+
+
+def test_a_deviation_names_who_deviates() -> None:
+    told = edges_of([3.0], frozenset({"a"}), DEVIATION)
+    assert {one.type for one in told} == {"DEVIATION"}
+    assert told[0].reason.startswith("b was to give way; both need")
+
+
+def test_live_alerts_are_those_found_afterwards_in_the_trace() -> None:
+    rng = np.random.default_rng(5)
+    dangers = np.where(rng.random(3000) < 0.12, rng.random(3000) * 3.0, 0.0).tolist()
+    told = edges_of(dangers)
+    recorder = DangerRecorder()
+    for frame, danger in enumerate(dangers):
+        if danger > 0.0:
+            found = PairDangers(np.array([0]), np.array([1]), np.array([danger]))
+            recorder.add(0.1 * frame, SCENE.ids, found)
+    intervals = alerts_at(recorder.trace(), SETTINGS.alert_onset_mps2)
+    assert len(intervals) > 20
+    onset, end = ([one.time_s for one in told if one.edge == edge] for edge in ("onset", "end"))
+    np.testing.assert_allclose(onset, [one.onset_s for one in intervals])
+    np.testing.assert_allclose(end, [one.end_s for one in intervals])
+
+
+def test_predictions_are_kept_for_a_second() -> None:
+    recent, named = Recent(), {}
+    for frame in range(30):
+        prediction = moment((20.0, 9.0, 0.0), (20.0, 9.0, 0.0)).prediction if not frame else None
+        named[frame] = prediction or object()
+        earlier = recent.earlier(0.1 * frame)
+        assert earlier is (named[frame - 10] if frame >= 10 else None)
+        recent = recent.with_newest(0.1 * frame, named[frame])  # type: ignore[arg-type]
+    assert len(recent.kept) == 11
+
+
+# ---------------------------------------------------------------------------------------------
+# Settings
+
+
+def test_settings_are_read_and_what_is_not_named_stays(tmp_path: Path) -> None:
+    file = tmp_path / "assist.toml"
+    file.write_text("alert_onset_mps2 = 2.5\ncool_down_s = 3\n")
+    assert read_assist_settings(file) == AssistSettings(alert_onset_mps2=2.5, cool_down_s=3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("alert_onset_kmh = 9", "unknown key 'alert_onset_kmh'; did you mean 'alert_onset_mps2'"),
+        ("reaction_s = 800", "reaction_s: expected 0.1 to 3, found 800; is it in the unit"),
+        ("reaction_s = nan", "reaction_s: expected 0.1 to 3, found nan"),
+        ("soon_s = '4'", "soon_s: expected a number, found '4'"),
+        ("soon_s = true", "soon_s: expected a number, found True"),
+        ("alert_onset_mps2 = 1.0", "alert_end_mps2 = 1.4 is above alert_onset_mps2 = 1"),
+        ("end_after_s = 5", "end_after_s = 5 is above cool_down_s = 2"),
+        ("soon_s = ", "not valid TOML"),
+    ],
+)
+def test_wrong_settings_are_told_of(tmp_path: Path, text: str, told: str) -> None:
+    file = tmp_path / "assist.toml"
+    file.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_assist_settings(file)
+    assert told in str(error.value)
+    assert str(error.value).startswith(str(file))

@@ -1,0 +1,78 @@
+"""`hatn-sim assess` from end to end: runs, resumption, JSON, calibration, mistakes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hatn_sim.assist.settings import read_assist_settings
+from hatn_sim.cli import main
+
+SHORT = ["--duration", "6", "--warm-up", "20", "--workers", "1", "--quiet"]
+WANTED = ["--scenes", "tjunction", "--risk", "courteous,inattentive", "--seeds", "301"]
+
+
+def test_runs_are_made_scored_and_used_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = ["assess", *WANTED, *SHORT, "--out", str(out)]
+    assert main([*words, "--json"]) == 0
+    told = capsys.readouterr().out
+    scores = json.loads(told)
+    assert {one["predictor"] for one in scores} >= {"hatn", "time_to_collision", "oracle", "never"}
+    assert {one["subset"] for one in scores} == {"courteous", "inattentive", "all"}
+    measures = {one["measure"] for one in scores}
+    assert measures >= {"event_recall", "recall_1s5", "precision", "false_alarms_per_hour"}
+    assert measures >= {"lead_time_s", "suggestion_agreement"}
+    assert all((one["value"] is None) == (one["n"] == 0) for one in scores)
+    for name in ("scores.json", "curves.csv", "curves.png", "curves.pdf"):
+        assert (out / name).is_file()
+    made = sorted((out / "assessed").iterdir())
+    assert len(made) == 2
+    # One run is lost, the other is kept; the same comes out.
+    before = made[1].stat().st_mtime_ns
+    made[0].unlink()
+    assert main([*words, "--json"]) == 0
+    assert capsys.readouterr().out == told
+    assert made[1].stat().st_mtime_ns == before
+    # Made otherwise: not mixed.
+    assert main([*words, "--rules", "hatn,never"]) == 2
+    assert "was made otherwise: expected rules" in capsys.readouterr().err
+    assert main(words) == 0
+    assert "suggestions" in capsys.readouterr().out
+
+
+def test_a_threshold_is_sought_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = ["assess", "--scenes", "roundabout8", "--risk", "inattentive", "--seeds", "301", *SHORT]
+    asked = ["--calibrate", "--false-alarms", "1000"]
+    code = main([*words, *asked, "--duration", "20", "--warm-up", "60", "--out", str(out)])
+    assert code == 0, capsys.readouterr().err
+    assert "settings in" in capsys.readouterr().out
+    settings = read_assist_settings(out / "assist.toml")
+    assert 0.0 < settings.alert_end_mps2 < settings.alert_onset_mps2 <= 9.01
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "name scenes with --scenes"),
+        (["--scenes", "tjunction", "--suite", "do_warn"], "drop one"),
+        (["--scenes", "tjunction", "--rules", "hat"], "did you mean 'hatn'"),
+        (["--scenes", "tjunction", "--risk", "couteous"], "did you mean 'courteous'"),
+        (["--scenes", "recorded_sample"], "recorded traffic has no seeds"),
+    ],
+)
+def test_mistakes_are_one_line(
+    words: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["assess", *words, "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert expected in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,153 @@
+"""Advised speed profiles: by hand, and within their bounds whatever they are asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hatn_sim.assist.profile import (
+    COMFORT_ACCELERATION_MPS2,
+    COMFORT_BRAKING_MPS2,
+    COMFORT_JERK_MPS3,
+    HARD_BRAKING_MPS2,
+    HARD_JERK_MPS3,
+    KNOT_S,
+    KNOTS,
+    PROFILE_FRAMES,
+    Approach,
+    Profiles,
+    drive,
+)
+
+POINTS = 21
+
+
+def approach(speed: float, allowed: float = 30.0, **more: object) -> Approach:
+    """One vehicle on a free road."""
+    free = Approach(
+        start_s=0.0,
+        start_m=np.zeros(1),
+        speed_mps=np.array([speed]),
+        acceleration_mps2=np.zeros(1),
+        allowed_mps=np.full((1, POINTS), allowed),
+        leader_m=np.full((1, KNOTS + 1), np.inf),
+        leader_mps=np.zeros((1, KNOTS + 1)),
+        stop_m=np.array([np.inf]),
+        area_m=np.array([[np.inf]]),
+        open_s=np.zeros((1, 1)),
+    )
+    return replace(free, **more)  # type: ignore[arg-type]
+
+
+def at(profiles: Profiles, time_s: float) -> tuple[float, float]:
+    """Speed and way of the first at a time."""
+    time = KNOT_S * np.arange(KNOTS + 1)
+    speed = np.interp(time_s, time, profiles.speed_mps[0])
+    return float(speed), float(np.interp(time_s, time, profiles.travelled_m[0]))
+
+
+def test_a_start_on_a_free_road_by_hand() -> None:
+    found = drive(approach(0.0))
+    # 3.5 m/s^3 for 0.5 s, on to 2 m/s^2 in the next quarter, and 2 m/s^2 from then on.
+    knots = [0.0, 0.109375, 0.4375, 0.90625, 1.40625]
+    np.testing.assert_allclose(found.speed_mps[0, :5], knots)
+    np.testing.assert_allclose(found.speed_mps[0, -1], 0.90625 + 2.0 * 4.25)
+    ticks = found.tick_speed_mps()
+    assert ticks.shape == (1, PROFILE_FRAMES)
+    # Within the first quarter v = j t^2 / 2.
+    np.testing.assert_allclose(ticks[0, :2], [0.5 * 3.5 * 0.01, 0.5 * 3.5 * 0.04])
+    np.testing.assert_allclose(ticks[0, 4::5], found.speed_mps[0, 2::2])
+    # Where it drives evenly, an arrival is a root of a quadratic.
+    way = found.travelled_m[0, 3] + 0.90625 * 2.0 + 2.0 * 2.0
+    np.testing.assert_allclose(found.arrival_s(np.array([[way, 0.0]])), [[2.75, 0.0]], atol=1e-6)
+
+
+def test_no_faster_than_the_road_allows() -> None:
+    allowed = np.where(np.arange(POINTS) * 2.5 < 20.0, 12.0, 9.0)[None]
+    found = drive(approach(12.0, allowed_mps=allowed))
+    assert found.speed_mps.max() <= 12.0 + 1e-9 and at(found, 5.0)[0] == pytest.approx(9.0, abs=0.1)
+    steady = drive(approach(5.0, 8.0))
+    assert steady.speed_mps.max() <= 8.0 + 0.05 and at(steady, 5.0)[0] > 7.8
+
+
+def test_a_yield_arrives_as_the_area_opens() -> None:
+    found = drive(approach(8.0, area_m=np.array([[24.0]]), open_s=np.array([[4.0]])))
+    # Braking at 1 m/s^2, 24 m take 4 s: 8 * 4 - 4 * 4 / 2 = 24, at most 4 m/s at the end.
+    speed, way = at(found, 4.0)
+    assert 22.0 < way <= 24.1 and 3.0 < speed <= 4.2
+    assert found.braking_mps2[0] < 2.1
+    later = drive(approach(8.0, area_m=np.array([[24.0]]), open_s=np.array([[60.0]])))
+    assert later.travelled_m.max() < 24.0 and later.braking_mps2[0] <= COMFORT_BRAKING_MPS2
+
+
+def test_a_stop_line_and_a_standing_leader_are_not_passed() -> None:
+    line = drive(approach(6.0, stop_m=np.array([16.0])))
+    assert 13.0 < line.travelled_m[0, -1] < 16.0 and line.speed_mps[0, -1] < 1.0
+    behind = drive(approach(8.0, leader_m=np.full((1, KNOTS + 1), 30.0)))
+    assert 22.0 < behind.travelled_m[0, -1] < 29.0
+    assert max(line.braking_mps2[0], behind.braking_mps2[0]) <= COMFORT_BRAKING_MPS2
+
+
+def test_a_later_start_goes_on_from_there() -> None:
+    late = approach(8.0, start_s=1.0, start_m=np.array([8.0]))
+    late = replace(late, area_m=np.array([[24.0]]), open_s=np.array([[4.0]]))
+    soon = approach(8.0, area_m=np.array([[16.0]]), open_s=np.array([[3.0]]))
+    np.testing.assert_allclose(drive(late).speed_mps, drive(soon).speed_mps)
+    arrival = drive(late).arrival_s(np.array([[20.0]]))
+    np.testing.assert_allclose(arrival, 1.0 + drive(soon).arrival_s(np.array([[12.0]])))
+
+
+numbers = st.floats(0.0, 1.0)
+
+
+@given(st.lists(st.tuples(*[numbers] * 6), min_size=1, max_size=6), st.randoms())
+def test_bounds_hold_whatever_is_asked_for(rows: list[tuple[float, ...]], random: object) -> None:
+    of = np.array(rows)
+    count = len(of)
+    speed = 15.0 * of[:, 0]
+    everything = Approach(
+        start_s=0.0,
+        start_m=np.zeros(count),
+        speed_mps=speed,
+        acceleration_mps2=4.0 * of[:, 1] - 2.0,
+        allowed_mps=np.repeat(5.0 + 10.0 * of[:, 2:3], POINTS, axis=1),
+        leader_m=5.0 + 60.0 * of[:, 3:4] + np.linspace(0.0, 20.0, KNOTS + 1) * of[:, 4:5],
+        leader_mps=np.repeat(4.0 * of[:, 4:5], KNOTS + 1, axis=1),
+        stop_m=np.where(of[:, 5] < 0.5, 80.0 * of[:, 5], np.inf),
+        area_m=60.0 * of[:, 1:3],
+        open_s=6.0 * of[:, 4:6],
+    )
+    found = drive(everything)
+    a = found.acceleration_mps2
+    assert (a >= -HARD_BRAKING_MPS2).all() and (a <= COMFORT_ACCELERATION_MPS2).all()
+    assert (found.speed_mps >= 0.0).all() and (np.diff(found.travelled_m) >= 0.0).all()
+    jerk = np.diff(a) / KNOT_S
+    stands = found.speed_mps[:, 1:] == 0.0  # there braking ends at once
+    gentle = (found.braking_mps2 <= COMFORT_BRAKING_MPS2)[:, None]
+    assert (jerk[~stands] <= COMFORT_JERK_MPS3 + 1e-9).all()
+    assert (jerk >= -HARD_JERK_MPS3 - 1e-9).all()
+    assert (jerk[np.broadcast_to(gentle, jerk.shape)] >= -COMFORT_JERK_MPS3 - 1e-9).all()
+    most = np.maximum(speed, everything.allowed_mps[:, 0])
+    # It may still be speeding up when it begins.
+    assert (found.speed_mps <= most[:, None] + 0.6).all()
+    order = np.random.default_rng(0).permutation(count)
+    names = ("start_m", "speed_mps", "acceleration_mps2", "allowed_mps", "leader_m", "leader_mps")
+    names = (*names, "stop_m", "area_m", "open_s")
+    turned = {name: getattr(everything, name)[order] for name in names}
+    np.testing.assert_array_equal(
+        drive(replace(everything, **turned)).speed_mps, found.speed_mps[order]
+    )
+
+
+@given(st.floats(0.0, 14.0), st.floats(0.0, 1.0), st.floats(0.0, 12.0))
+def test_nobody_enters_before_the_area_opens(speed: float, spare: float, open_s: float) -> None:
+    # Room to stop at 2 m/s^2 after 1.5 seconds, and up to 40 m more.
+    room = 1.5 * speed + speed**2 / 4.0 + 1.5 + 40.0 * spare
+    found = drive(approach(speed, area_m=np.array([[room]]), open_s=np.array([[open_s]])))
+    time = KNOT_S * np.arange(KNOTS + 1)
+    assert (found.travelled_m[0, time < open_s] <= room + 0.25).all()
+    assert found.braking_mps2[0] <= COMFORT_BRAKING_MPS2 + 0.2

@@ -1,0 +1,144 @@
+"""Suggestions: what is advised, to whom, in which words, and for how long."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import crossing_lanes, scene_of
+
+from hatn_sim.assist.suggest import SuggestionState, Told, suggest
+from hatn_sim.datatypes import Prediction, Scene, Suggestion
+from hatn_sim.graph import build_graphs
+from hatn_sim.perception import begin, perceive
+from hatn_sim.predictors.constant_velocity import extrapolate
+from hatn_sim.road import Road
+
+NORTH = np.pi / 2
+ROAD = Road(crossing_lanes())
+
+
+def moment(
+    vehicles: dict[str, tuple[float, float, float, float]], chances: dict[str, list[float]]
+) -> tuple[Scene, Prediction]:
+    """A scene at the hand-drawn crossing, predicted at constant velocity, with given slots."""
+    state = begin(ROAD)
+    for frame in range(3):
+        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
+    scene, graphs = state.seen.scene, build_graphs(ROAD, state.seen)
+    probability = np.zeros(graphs.node_mask.shape)
+    for e, ego in enumerate(graphs.ego.tolist()):
+        given = chances.get(scene.ids[ego], [1.0])
+        probability[e, : len(given)] = given
+    count = len(scene.ids)
+    return scene, Prediction(
+        ids=scene.ids,
+        xy_m=extrapolate(scene)[:, None],
+        mode_probability=np.ones((count, 1)),
+        fallback=np.zeros(count, dtype=np.bool_),
+        adapted=np.zeros(count, dtype=np.bool_),
+        lines=state.seen.lines,
+        graphs=graphs,
+        slot_probability=probability,
+    )
+
+
+TWO = {"ego": (-40.0, 0.0, 0.0, 10.0), "other": (0.0, -20.0, NORTH, 8.0)}
+
+
+OPEN = {"ego": (0.0, -30.0, NORTH, 10.0), "other": (-58.0, 0.0, 0.0, 5.0)}
+"""The ego is long gone when the other comes."""
+
+
+def advise(
+    vehicles: dict[str, tuple[float, float, float, float]],
+    chance: list[float],
+    state: SuggestionState | None = None,
+    frames: int = 1,
+) -> tuple[SuggestionState, Suggestion]:
+    """What the ego is told at the last of so many moments that differ in time alone."""
+    scene, prediction = moment(vehicles, {"ego": chance})
+    state = state or SuggestionState()
+    for frame in range(frames):
+        now = replace(scene, time_s=0.1 * frame)
+        state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+    return state, found
+
+
+def test_a_yield_names_whom_to_let_go_and_when() -> None:
+    state, told = advise(TWO, [0.9, 0.1])
+    assert (told.action, told.slot_id, told.feasible) == ("yield", "other", True)
+    assert told.probability == pytest.approx(0.9)
+    assert told.margin == pytest.approx(0.8)
+    # The other's rear bumper is out after 20 + 2.5 + 1 m at 8 m/s, and 0.3 s to spare.
+    assert told.text == "Yield to the silver car from the right; go after it in 3.2 s"
+    assert told.target_time_s >= 3.2
+    assert len(told.profile_mps) == 50 and max(told.profile_mps) <= 10.0
+    assert state.told["ego"].slot_id == "ego"
+
+
+def test_a_pass_is_advised_where_it_is_safe() -> None:
+    _, told = advise(OPEN, [0.1, 0.9])
+    assert (told.action, told.slot_id, told.feasible) == ("pass", "other", True)
+    # 26.5 m to the area: 2.65 s at 10 m/s, 2.16 s at 2 m/s^2 from now on; the jerk is bounded.
+    assert 2.2 < told.target_time_s < 2.65
+    assert told.text == "Pass before the silver car from the left"
+
+
+NEAR = {"ego": (0.0, -14.0, NORTH, 10.0), "other": (-10.0, 0.0, 0.0, 8.0)}
+"""The ego is out after 17.5 m, the other in after 6.5 m: 0.8 s."""
+
+
+def test_what_people_do_is_not_advised_where_it_is_unsafe() -> None:
+    _, told = advise(NEAR, [0.02, 0.98])
+    # It takes 10^2 / (2 * 10.5) = 4.8 m/s^2 to stay out.
+    assert (told.action, told.slot_id, told.feasible) == ("yield", "other", False)
+    assert told.text == "Brake hard: yield to the silver car from the left"
+    assert told.probability == pytest.approx(0.02) and told.margin == pytest.approx(-0.96)
+    at_m = 0.1 * np.cumsum(told.profile_mps)
+    assert at_m[: int(1.7 / 0.1)].max() < 10.75
+
+
+def test_a_pass_stands_while_it_can_be_given_up_in_comfort() -> None:
+    later = {"ego": (0.0, -35.0, NORTH, 10.0), "other": (-25.0, 0.0, 0.0, 6.0)}
+    assert advise(later, [0.02, 0.98])[1].action == "pass"
+
+
+def test_whoever_cannot_stop_any_more_clears_the_area() -> None:
+    inside = {"ego": (0.0, -4.0, NORTH, 12.0), "other": (-12.0, 0.0, 0.0, 8.0)}
+    _, told = advise(inside, [0.9, 0.1])
+    assert told.action == "pass" and told.slot_id == "other"
+
+
+def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
+    scene, prediction = moment(TWO, {"ego": [0.55, 0.45], "other": [0.2, 0.8]})
+    _, found = suggest(SuggestionState(), ROAD, scene, prediction, frozenset({"ego"}))
+    assert [(one.ego_id, one.action) for one in found] == [("ego", "abstain")]
+    _, nobody = suggest(SuggestionState(), ROAD, scene, prediction, frozenset())
+    assert nobody == ()
+
+
+@pytest.mark.parametrize("frames", [1, 5, 6])
+def test_advice_changes_once_it_has_been_doubted_for_half_a_second(frames: int) -> None:
+    told = SuggestionState({"ego": Told("other", "pass", True)})
+    _, found = advise(OPEN, [0.9, 0.1], told, frames)
+    assert found.action == ("yield" if frames == 6 else "pass")
+
+
+def test_advice_stands_while_another_slot_is_a_little_better() -> None:
+    told = SuggestionState({"ego": Told("other", "pass", True)})
+    assert advise(OPEN, [0.65, 0.35], told, 20)[1].action == "pass"
+    assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "yield"
+
+
+def test_an_unsafe_pass_is_taken_back_at_once() -> None:
+    told = SuggestionState({"ego": Told("other", "pass", True)})
+    assert advise(NEAR, [0.1, 0.9], told)[1].action == "yield"
+
+
+@pytest.mark.parametrize(("margin", "expected"), [(0.35, "abstain"), (0.45, "yield")])
+def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> None:
+    for before in (SuggestionState(), SuggestionState({"ego": Told("ego", "abstain", True)})):
+        chance = [0.5 + margin / 2, 0.5 - margin / 2]
+        assert advise(TWO, chance, before)[1].action == expected
