@@ -142,7 +142,7 @@ def _places(rows: Rows) -> FloatArray:
     some = rows[(rows["frame"] % LOOK_EVERY_FRAMES == 0) & (rows["kind"] != Kind.PEDESTRIAN)]
     # Who is parked stands anywhere, for as long as is recorded.
     drives = np.isin(some["kind"], list(MOTOR)) & (some["speed_mps"] >= MOVING_MPS)
-    return np.stack((some["x_m"], some["y_m"], some["yaw_rad"], drives), axis=1)
+    return np.stack((some["x_m"], some["y_m"], some["yaw_rad"], drives.astype(np.float64)), axis=1)
 
 
 def _check_places(
