@@ -23,8 +23,13 @@ def beside(path: Path) -> Path:
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a file beside `path` and give it the name when it is done.
 
-    Makes the folder. Raises OSError, with nothing left behind.
+    Makes the folder. Where a link has the name, what it leads to is replaced; what is no file, such
+    as /dev/null or a pipe, is written to as it is. Raises OSError, with nothing left behind.
     """
+    if path.exists() and not path.is_file():
+        write(path)
+        return
+    path = Path(os.path.realpath(path))
     unfinished = beside(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     try:

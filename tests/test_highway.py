@@ -477,7 +477,18 @@ def test_every_environment_with_roads_runs(environment: str) -> None:
 @pytest.mark.parametrize(
     ("environment", "settings", "expected"),
     [
-        ("regular-ring-v0", {"bearings_deg": [0, 40]}, "more than 48 degrees apart"),
+        ("regular-ring-v0", {"bearings_deg": [0, 40]}, "each more than 48 and less than 220"),
+        ("regular-ring-v0", {"bearings_deg": [0, 90]}, "each more than 48 and less than 220"),
+        ("regular-ring-v0", {"bearings_deg": [0]}, "bearings_deg: expected two or more"),
+        ("regular-ring-v0", {"radius_m": -5}, "radius_m: expected a positive number"),
+        ("regular-ring-v0", {"access_m": 0}, "access_m: expected a positive number"),
+        ("regular-ring-v0", {"ring_limit_mps": float("nan")}, "ring_limit_mps: expected a posit"),
+        ("regulated-junction-v0", {"inner_m": 0}, "inner_m: expected a positive number"),
+        (
+            "regulated-junction-v0",
+            {"arms": [{"bearing_deg": 0.0, "length_m": 0, "speed_limit_mps": 9.0}] * 2},
+            "arms: 0: length_m: expected a positive number",
+        ),
         (
             "regulated-junction-v0",
             {"arms": [{"angle": 1.0}]},
@@ -490,6 +501,12 @@ def test_every_environment_with_roads_runs(environment: str) -> None:
 )
 def test_places_that_cannot_be(environment: str, settings: dict[str, Any], expected: str) -> None:
     assert expected in refused(environment, **settings)
+
+
+def test_a_ring_slower_than_any_path_is_drawn_at() -> None:
+    with HighwaySimulator(scenario("regular-ring-v0", ring_limit_mps=1.5)) as simulator:
+        assert {lane.speed_limit_mps for lane in simulator.lanes} >= {1.5}
+        assert all(np.isfinite(lane.xy_m).all() for lane in simulator.lanes)
 
 
 def refused(environment: str, **settings: Any) -> str:

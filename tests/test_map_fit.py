@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import crossing_lanes
-from test_track_lines import traffic, write_recording
+from test_track_lines import DrivenTrack, traffic, write_recording
 
 from hatn_sim import cli
+from hatn_sim.datatypes import Kind
 from hatn_sim.recordings.fit import share_on_lanes
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
 
@@ -83,6 +84,23 @@ def test_of_a_map_that_fits_nothing_is_said(site: Path, capsys: pytest.CaptureFi
     run = words("run", site, "whole.osm", "--predictor", "constant_velocity", "--recordings", "000")
     assert cli.main([*run, "--no-picture"]) == 0
     assert "the map of this place" not in capsys.readouterr().out
+    assert "doubts" not in json.loads(Path("out", "run.json").read_text())["settings"]
+
+
+def test_who_is_parked_beside_the_road_tells_nothing_of_the_map(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten times as many stand on a car park, all the time, as drive along the lanes."""
+    driven = traffic(2, seed=7)
+    frames = max(len(one.xy_m) for one in driven)
+    for k in range(60):
+        spot_m = np.tile((10.0 + 2.5 * (k % 10), 10.0 + 5.0 * (k // 10)), (frames, 1))
+        driven.append(DrivenTrack("900", f"parked{k}", Kind.CAR, spot_m, np.full(frames, 1.6)))
+    write_recording(site, "900", driven)
+    run = words("run", site, "whole.osm", "--predictor", "constant_velocity", "--recordings", "900")
+    assert cli.main([*run, "--no-picture"]) == 0
+    told = "".join(capsys.readouterr())
+    assert "the map of this place" not in told
     assert "doubts" not in json.loads(Path("out", "run.json").read_text())["settings"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import resource
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -84,6 +85,21 @@ def test_whatever_stops_a_writer_leaves_the_old_file(tmp_path: Path) -> None:
         write_whole(path, write)
     assert [one.name for one in tmp_path.iterdir()] == ["some.txt"]
     assert path.read_text() == "old"
+
+
+def test_links_and_devices_stay_what_they_are(tmp_path: Path) -> None:
+    """A device replaced by a file would be lost to the whole system."""
+    real, link, pipe = (tmp_path / name for name in ("real", "link", "pipe"))
+    link.symlink_to(real)
+    for text in ("new", "newer"):
+        save_whole(link, text)
+        assert link.is_symlink() and real.read_text() == text
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    save_whole(pipe, "passed on")
+    assert os.read(reader, 100) == b"passed on"
+    os.close(reader)
+    assert pipe.is_fifo() and sorted(tmp_path.iterdir()) == [link, pipe, real]
 
 
 def test_the_folder_is_made_and_text_is_utf8_with_plain_line_ends(tmp_path: Path) -> None:

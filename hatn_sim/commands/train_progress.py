@@ -47,7 +47,8 @@ class TrainProgress:
             return
         if is_new:
             self._tasks[stage] = self._bar.add_task(stage, total=total, words=words)
-        self._bar.update(self._tasks[stage], completed=done, words=words)
+        # A stage may come again, and be of other lengths then.
+        self._bar.update(self._tasks[stage], completed=done, total=total, words=words)
 
     def say(self, line: str) -> None:
         """A line that stays."""

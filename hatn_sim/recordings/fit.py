@@ -46,7 +46,7 @@ def _dense(xy_m: FloatArray) -> FloatArray:
 def check_place(
     path: Path, map_path: Path, lanes: Sequence[Lane], xy_m: FloatArray, yaw_rad: FloatArray
 ) -> str:
-    """A notice where many places of motor vehicles [N, 2] are on no lane; else nothing.
+    """A notice where many places that motor vehicles drive through [N, 2] are on no lane.
 
     Raises:
         InputError: almost all are on none, so that the map must be of another place.

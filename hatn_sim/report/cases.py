@@ -147,6 +147,7 @@ def find_cases(runs: Sequence[Run], names: Sequence[str]) -> dict[str, Case]:
                 for told in _candidates(name, choices, met):
                     value = _value(choices, ego, told)
                     found.setdefault(name, []).append(_Candidate(value, choices, ego, told))
+        found = {name: _foremost(some) for name, some in found.items()}
     best = {name: max(some, key=lambda one: one.value) for name, some in found.items()}
     if {"sequence", "transfer"} <= best.keys():
         pairs = product(found["sequence"], found["transfer"])
@@ -163,6 +164,19 @@ def find_cases(runs: Sequence[Run], names: Sequence[str]) -> dict[str, Case]:
         for name in names
         if name in best
     }
+
+
+def _foremost(candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """Those of the two egos with the most telling; no other is among two that are told together.
+
+    Of several runs all others would be held in memory, and every pair of them compared.
+    """
+    best: dict[tuple[int, int], float] = {}
+    for one in candidates:
+        ego = id(one.choices), one.ego
+        best[ego] = max(one.value, best.get(ego, -np.inf))
+    egos = sorted(best, key=lambda ego: -best[ego])[:2]
+    return [one for one in candidates if (id(one.choices), one.ego) in egos]
 
 
 def missing(runs: Sequence[Run], kinds: Sequence[CaseKind]) -> InputError:

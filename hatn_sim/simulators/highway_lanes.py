@@ -224,9 +224,8 @@ def _link(network: RoadNetwork, source: LaneIndex, target: LaneIndex) -> _Link:
         return _Link(True, np.zeros((0, 2)), 0.0, 0.0)
     limits = [one.speed_limit for one in (lane, other) if one.speed_limit is not None]
     fastest_mps = min(limits, default=np.inf)
-    ways = [
-        _driven(lane, other, speed_mps) for speed_mps in PATH_SPEEDS_MPS if speed_mps <= fastest_mps
-    ]
+    speeds_mps = [speed for speed in PATH_SPEEDS_MPS if speed <= fastest_mps]
+    ways = [_driven(lane, other, speed) for speed in speeds_mps or PATH_SPEEDS_MPS[:1]]
     # All are drawn out to the same end, so that their distances are of the paths alone.
     end_m = max(way.arrive_m for way in ways)
     whole = [resample(_drawn_out(way, other, end_m), PATH_STEP_M) for way in ways]

@@ -8,6 +8,7 @@ frame, whose y axis points down, so 90 degrees is south; traffic keeps to the ri
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -31,6 +32,9 @@ LEFT_RAD: Final = np.deg2rad(30.0)
 """Ways that turn farther to the left yield as left turns do."""
 ENTRY_HALF_RAD: Final = np.deg2rad(24.0)
 """Of the ring, from the middle of an arm to where its entry and its exit meet the ring."""
+APART_DEG: Final = (48.0, 220.0)
+"""Arms of a ring: an entry would come before the exit; and highway-env finds places on an arc only
+within half a turn from where it begins."""
 OUTER_M: Final = 24.0
 BEND_M: Final = 85.0
 BEND_PART: Final = 0.2
@@ -83,6 +87,11 @@ class RegulatedJunction(ConnectedLaneIntersectionEnv):
         arms = [Arm(**settings) for settings in self.config["arms"]]
         if len(arms) < 2:
             raise ValueError("arms: expected two or more")
+        for k, arm in enumerate(arms):
+            _check_positive(vars(arm), ("length_m", "speed_limit_mps"), f"arms: {k}: ")
+            if not np.isfinite(arm.bearing_deg):
+                raise ValueError(f"arms: {k}: bearing_deg: expected a number of degrees")
+        _check_positive(self.config, ("inner_m",))
         inner_m = float(self.config["inner_m"])
         ways = self.config["ways"] or [
             (a, b) for a in range(len(arms)) for b in range(len(arms)) if a != b
@@ -128,11 +137,17 @@ class RegularRing(ConnectedLaneRoundaboutEnv):
 
     def _make_road(self) -> None:
         config = self.config
+        _check_positive(config, ("radius_m", "access_m", "ring_limit_mps", "arm_limit_mps"))
         # Traffic goes round against the bearings: an arm's exit comes before its entry.
         bearings = np.sort(np.deg2rad(np.asarray(config["bearings_deg"], np.float64)))[::-1]
         following = np.append(bearings[1:], bearings[:1] - 2.0 * np.pi)
-        if not len(bearings) or (bearings - following <= 2.0 * ENTRY_HALF_RAD).any():
-            raise ValueError("bearings_deg: expected some, more than 48 degrees apart")
+        apart_deg = np.rad2deg(bearings - following)
+        least_deg, most_deg = APART_DEG
+        if len(bearings) < 2 or not ((apart_deg > least_deg) & (apart_deg < most_deg)).all():
+            raise ValueError(
+                f"bearings_deg: expected two or more, each more than {least_deg:g} and less than "
+                f"{most_deg:g} degrees from the next"
+            )
         network = RoadNetwork()
         radii_m = (config["radius_m"], config["radius_m"] + WIDTH_M)
 
@@ -178,6 +193,13 @@ class RegularRing(ConnectedLaneRoundaboutEnv):
         network.add_lane(f"{k}es", f"{k}e", bend(1.0, far_m, ring_m, -np.pi / 2))
         network.add_lane(f"{k}x", f"{k}xs", bend(-1.0, ring_m, far_m, -np.pi / 2 - bent_rad))
         network.add_lane(f"{k}xs", f"{k}xr", outwards)
+
+
+def _check_positive(settings: Mapping[str, Any], names: Sequence[str], where: str = "") -> None:
+    """Raises ValueError for the first of these settings that is not above 0, or not finite."""
+    for name in names:
+        if not 0.0 < settings[name] < np.inf:
+            raise ValueError(f"{where}{name}: expected a positive number")
 
 
 def _ends(arm: Arm, inner_m: float, is_inbound: bool) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from hatn_sim.errors import InputError
 from hatn_sim.recordings.fit import check_place, distance_to_lanes_m
 from hatn_sim.recordings.interaction.files import Recorded, among, read_ids
 from hatn_sim.recordings.interaction.spool import Spool
-from hatn_sim.recordings.interaction.table import InteractionTable, Rows
+from hatn_sim.recordings.interaction.table import MOVING_MPS, InteractionTable, Rows
 from hatn_sim.recordings.lanelet2.rules import MOTOR
 
 BUCKET_FRAMES: Final = 600
@@ -138,9 +138,11 @@ def _merged(
 
 
 def _places(rows: Rows) -> FloatArray:
-    """Where drivers are, once a second: x, y, direction and kind."""
-    seen = (rows["frame"] % LOOK_EVERY_FRAMES == 0) & (rows["kind"] != Kind.PEDESTRIAN)
-    return np.stack([rows[name][seen] for name in ("x_m", "y_m", "yaw_rad", "kind")], axis=1)
+    """Where drivers are, once a second, and which of these places motor vehicles drive through."""
+    some = rows[(rows["frame"] % LOOK_EVERY_FRAMES == 0) & (rows["kind"] != Kind.PEDESTRIAN)]
+    # Who is parked stands anywhere, for as long as is recorded.
+    drives = np.isin(some["kind"], list(MOTOR)) & (some["speed_mps"] >= MOVING_MPS)
+    return np.stack((some["x_m"], some["y_m"], some["yaw_rad"], drives.astype(np.float64)), axis=1)
 
 
 def _check_places(
@@ -162,11 +164,11 @@ def _check_places(
             f"({on_map[0]:.0f}, {on_map[1]:.0f})): map and tracks seem not to belong together; "
             "give the map of this place"
         )
-    motor = places[np.isin(places[:, 3], list(MOTOR))]
-    doubt = check_place(path, map_path, lanes, motor[:, :2], motor[:, 2])
+    drives = places[:, 3] > 0.0
+    doubt = check_place(path, map_path, lanes, xy_m[drives], places[drives, 2])
     if doubt:
         return [doubt]
-    median_m = float(np.median(far_m))
+    median_m = float(np.median(far_m[drives] if drives.any() else far_m))
     if median_m <= BESIDE_M:
         return []
     return [

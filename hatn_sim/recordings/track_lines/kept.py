@@ -14,7 +14,6 @@ from hatn_sim.errors import InputError
 from hatn_sim.learn.content import content_hash
 from hatn_sim.learn.kept import source_version
 from hatn_sim.log.road_file import read_road, write_road
-from hatn_sim.whole_file import write_whole
 
 SUFFIX: Final = ".road.json.gz"
 
@@ -49,6 +48,4 @@ def write_kept(file: Path | None, lanes: Sequence[Lane], vehicles: int) -> None:
     if file is None:
         return
     with suppress(OSError):
-        write_whole(
-            file.with_name(f"{file.name}-{vehicles}{SUFFIX}"), lambda path: write_road(path, lanes)
-        )
+        write_road(file.with_name(f"{file.name}-{vehicles}{SUFFIX}"), lanes)
