@@ -106,6 +106,29 @@ def test_who_was_killed_ends_with_the_same_weights_bit_for_bit(
     assert torch.equal(weights_of(model), weights_of(whole)) and steps == []
 
 
+def test_who_diverges_goes_on_from_the_best_weights_and_slower(tmp_path: Path) -> None:
+    """In the seventh epoch the loss is turned around: steps lead away from the slopes."""
+    settings = FitSettings(**{**vars(QUICK), "epochs": 12})
+
+    def turned(step: int) -> float:
+        return -100.0 if 78 < step <= 91 else 1.0
+
+    watch = Told()
+    model, _ = fitted(Workplace(watch=watch), settings, turned)
+    (line,) = [line for line in watch.lines if "diverged" in line]  # once, and not again
+    assert line.startswith("LINE diverged in epoch 7 (error ")
+    assert line.endswith("back to the weights of epoch 5, at 0.5 of the learning rate")
+
+    def kill(step: int) -> None:
+        if step == 100:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fitted(Workplace(progress=tmp_path, watch=Told(kill)), settings, turned)
+    resumed, _ = fitted(Workplace(progress=tmp_path), settings)  # goes on after the seventh
+    assert torch.equal(weights_of(resumed), weights_of(model))
+
+
 def test_a_lost_loss_says_where_and_leaves_the_last_good_weights(tmp_path: Path) -> None:
     good, _ = fitted(Workplace(), FitSettings(**{**vars(QUICK), "patience": 100}))
     with pytest.raises(LossError) as lost:

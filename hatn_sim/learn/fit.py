@@ -1,9 +1,10 @@
 """The one loop that fits a network to samples: resumable, and the same every time.
 
 AdamW under a one-cycle schedule, with a running average of the weights beside them; the epoch, and
-the one of the two, that is best on the tuning samples is kept. All that is random is drawn from the
-seed and the epoch, so a training that was killed and goes on ends with the same weights, bit for
-bit, as one that was not.
+the one of the two, that is best on the tuning samples is kept. A training that diverges is taken
+back to the best weights and goes on at half the rate. All that is random is drawn from the seed and
+the epoch, so a training that was killed and goes on ends with the same weights, bit for bit, as one
+that was not.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ from hatn_sim.whole_file import save_whole
 
 LARGEST_GRADIENT: Final = 1.0
 """Gradients of a larger norm are scaled down to it."""
+DIVERGED: Final = 3.0
+"""An epoch whose figure is this many times the best has blown the weights up: at a high rate a few
+odd samples can do so, and what follows does not come back from it."""
+SLOWER: Final = 0.5
+"""Of the learning rate, once a training has diverged."""
 Figures = dict[str, float]
 
 
@@ -139,12 +145,18 @@ def fit(
             loss_sum += value * len(rows)
             place.watch.step(name, state.step, total, f"epoch {epoch}, loss {value:.3f}")
         state.epoch = epoch
-        _judge(model, average, figures, judged_by, state)
+        found = _judge(model, average, figures, judged_by, state)
         shown = ", ".join(f"{key} {value:.4f}" for key, value in state.best.items())
         place.watch.say(
             f"{name} epoch {epoch} of {settings.epochs}: loss {loss_sum / len(learn):.4f}, best of "
             f"epoch {state.best_epoch}: {shown}"
         )
+        if state.best and not found <= DIVERGED * state.best[judged_by]:
+            _take_back(model, average, optimiser, state)
+            place.watch.say(
+                f"{name} diverged in epoch {epoch} ({judged_by} {found:.4f}): back to the "
+                f"weights of epoch {state.best_epoch}, at {SLOWER:g} of the learning rate"
+            )
         _save(place, name, parts, state)
     _give_best(model, state)
     if not state.best:
@@ -159,19 +171,36 @@ def _judge(
     figures: Callable[[], Figures],
     judged_by: str,
     state: _State,
-) -> None:
-    """Keep the weights of now, or their average, if their figures are the best so far."""
+) -> float:
+    """Keep the weights of now, or their average, if their figures are the best so far.
+
+    Returns:
+        What the weights of now are judged by.
+    """
     model.eval()
     now = copy.deepcopy(model.state_dict())
-    for weights in (now, average.module.state_dict()):
+    of_now = math.inf
+    for weights in (average.module.state_dict(), now):
         model.load_state_dict(weights)
         with torch.no_grad():
             found = figures()
-        judged = found[judged_by]
+        judged = of_now = found[judged_by]
         if math.isfinite(judged) and (not state.best or judged < state.best[judged_by]):
             state.best, state.best_epoch = found, state.epoch
             state.best_weights = copy.deepcopy(weights)
-    model.load_state_dict(now)
+    return of_now
+
+
+def _take_back(
+    model: nn.Module, average: AveragedModel, optimiser: torch.optim.Optimizer, state: _State
+) -> None:
+    """To the best weights, with nothing remembered of the steps since, and slower from there."""
+    model.load_state_dict(state.best_weights)
+    average.module.load_state_dict(state.best_weights)
+    optimiser.state.clear()
+    for group in optimiser.param_groups:
+        for rate in ("initial_lr", "max_lr", "min_lr"):  # those the schedule goes by
+            group[rate] *= SLOWER
 
 
 def _give_best(model: nn.Module, state: _State) -> None:
