@@ -477,7 +477,7 @@ def test_ctrl_c_leaves_a_readable_log_and_names_its_place(elsewhere: Path) -> No
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the worker as well
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.splitlines()[-1] == "hatn-sim: interrupted; the log up to here is in out"
+    assert err.endswith("hatn-sim: interrupted; the log up to here is in out\n"), err
     assert "Traceback" not in err
     logged = read_run(elsewhere / "out")
     assert not logged.finished
