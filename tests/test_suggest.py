@@ -120,16 +120,27 @@ def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 5, 6])
-def test_advice_changes_once_it_has_been_doubted_for_half_a_second(frames: int) -> None:
+def test_a_safe_pass_is_taken_back_by_silence_after_half_a_second_of_doubt(frames: int) -> None:
     told = SuggestionState({"ego": Told("other", "pass", True)})
     _, found = advise(OPEN, [0.9, 0.1], told, frames)
-    assert found.action == ("yield" if frames == 6 else "pass")
+    assert found.action == ("abstain" if frames == 6 else "pass")
+
+
+def test_a_yield_is_never_followed_by_a_pass_before_the_same_vehicle() -> None:
+    state, found = advise(OPEN, [0.9, 0.1])
+    assert found.action == "yield"
+    for time_s in (1.0, 1.5, 2.0, 60.0):
+        scene, prediction = moment(OPEN, {"ego": [0.1, 0.9]})
+        now = replace(scene, time_s=time_s)
+        state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+        # After a minute without a choice it is another encounter.
+        assert found.action == {1.0: "yield", 60.0: "pass"}.get(time_s, "abstain"), time_s
 
 
 def test_advice_stands_while_another_slot_is_a_little_better() -> None:
     told = SuggestionState({"ego": Told("other", "pass", True)})
     assert advise(OPEN, [0.65, 0.35], told, 20)[1].action == "pass"
-    assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "yield"
+    assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "abstain"
 
 
 def test_an_unsafe_pass_is_taken_back_at_once() -> None:

@@ -53,11 +53,11 @@ DOUBT_S: Final = 0.5
 PASS_MARGIN_S: Final = 0.3
 """A pass is advised where the ego is out so long before anybody may plausibly come in ..."""
 KEEP_MARGIN_S: Final = 0.0
-"""... stays advised while it is out before, or could still be given up ..."""
-TURN_MARGIN_S: Final = 0.8
-"""... and takes the place of a yield only where there is more time."""
+"""... and stays advised while it is out before, or could still be given up."""
 WAIT_KNOT: Final = 2
 """Whoever can still stop in comfort after so many knots of a pass need not give it up yet."""
+PAUSE_S: Final = 1.0
+"""Who has no choice for longer than this has another encounter then."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
 ROUNDING_S: Final = 1e-6
@@ -74,11 +74,13 @@ class Told:
     action: str
     feasible: bool
     doubted_s: float | None = None  # since when another slot would have been advised
+    said: frozenset[tuple[str, str]] = frozenset()  # (action, other vehicle) of all that was said
+    time_s: float = 0.0
 
 
 @dataclass(frozen=True)
 class SuggestionState:
-    """What every advised ego was told last, by its id, and who has stopped at the line ahead."""
+    """What egos were told within `PAUSE_S`, by id, and who has stopped at the line ahead."""
 
     told: Mapping[str, Told] = field(default_factory=dict[str, Told])
     stopped: frozenset[str] = frozenset()
@@ -104,23 +106,42 @@ def suggest(
     if egos is not None:
         choice &= np.array([scene.ids[v] in egos for v in graphs.ego.tolist()], dtype=np.bool_)
     row = np.flatnonzero(choice)
+    recent = {
+        name: told
+        for name, told in state.told.items()
+        if scene.time_s - told.time_s <= PAUSE_S + ROUNDING_S
+    }
     if not len(row):
-        return SuggestionState(stopped=stopped), ()
+        return SuggestionState(recent, stopped), ()
     egos_now = [scene.ids[v] for v in graphs.ego[row].tolist()]
-    before = [state.told.get(name) for name in egos_now]
+    before = [recent.get(name) for name in egos_now]
     outlook = look_ahead(road, scene, prediction, pairs)
     likely = _likely(scene, graphs, chances, row, before)
     has_stopped = np.array([name in stopped for name in egos_now])
     options = _options(outlook, row, likely, has_stopped)
     chosen = _choose(outlook, row, likely, options, before)
     out = _suggestions(outlook, row, likely, options, chosen)
-    told = {
-        one.ego_id: Told(scene.ids[graphs.rear[e, m]], one.action, one.feasible, doubted_s)
-        for one, e, m, doubted_s in zip(
-            out, row.tolist(), chosen.slot.tolist(), chosen.doubted_s, strict=True
+    told = recent | {
+        one.ego_id: Told(
+            scene.ids[graphs.rear[e, m]],
+            one.action,
+            one.feasible,
+            doubted_s,
+            _said(old, one),
+            one.time_s,
+        )
+        for one, old, e, m, doubted_s in zip(
+            out, before, row.tolist(), chosen.slot.tolist(), chosen.doubted_s, strict=True
         )
     }
     return SuggestionState(told, stopped), out
+
+
+def _said(before: Told | None, now: Suggestion) -> frozenset[tuple[str, str]]:
+    """All that was said to an ego for as long as it has had a choice."""
+    said = frozenset[tuple[str, str]]() if before is None else before.said
+    pair = (now.action, now.slot_id or "")
+    return said if now.action == "abstain" or pair in said else said | {pair}
 
 
 def slot_profiles(
@@ -195,6 +216,7 @@ class _Likely:
     told: IntArray  # [R] the slot told before, -1: none, or it is gone
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
+    passed: BoolArray  # [R] was told to pass in this encounter
 
 
 def _likely(
@@ -220,7 +242,10 @@ def _likely(
     speed = scene.speed_mps[graphs.ego[row]]
     near = graphs.ego_to_conflict_m[row, 0] <= np.maximum(NEAR_S * speed, NEAR_M)
     speaks = stands | ((told >= 0) | near) & (chances.margin(slot) >= SPEAK_MARGIN)
-    return _Likely(chances, first, told, slot, speaks)
+    passed = np.array(
+        [one is not None and any(action == "pass" for action, _ in one.said) for one in before]
+    )
+    return _Likely(chances, first, told, slot, speaks, passed | (told > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +272,7 @@ def _options(outlook: Outlook, row: IntArray, likely: _Likely, stopped: BoolArra
     has_begun = ~still_ahead.any(axis=1)
     room_m = np.where(group, outlook.room_m[row], np.inf).min(axis=1)
     speed = outlook.scene.speed_mps[graphs.ego[row]]
-    asks = (likely.slot > 0) | (likely.told > 0) | has_begun | ~_stops(speed, room_m)
+    asks = (likely.slot > 0) | likely.passed | has_begun | ~_stops(speed, room_m)
     passing = np.flatnonzero(asks)
     # Whoever it is passed before, the ego drives as fast as it may.
     which = np.concatenate((np.arange(count), passing))
@@ -289,6 +314,7 @@ class _Chosen:
     """What each ego [R] is advised."""
 
     slot: IntArray
+    other: IntArray  # the vehicle to pass before, or the first to let go
     speaks: BoolArray
     feasible: BoolArray
     doubted_s: tuple[float | None, ...]  # since when another slot would have been advised
@@ -303,16 +329,16 @@ def _choose(
 ) -> _Chosen:
     """The likely slot, if it is safe; once told, a slot stays for as long as it can.
 
-    Nothing is said of a pass that is not safe yet, while there is time to wait and see.
+    Nothing is said of a pass that is not safe yet, while there is time to wait and see. Advice is
+    taken back by silence, not by its opposite: but for a pass that is not safe any more.
     """
     was_feasible = np.array([told is None or told.feasible for told in before])
     now_s = outlook.scene.time_s
     since = [None if told is None else told.doubted_s for told in before]
     since_s = np.array([now_s if one is None else one for one in since])
     told = likely.told
-    needed_s = np.select([told > 0, told == 0], [KEEP_MARGIN_S, TURN_MARGIN_S], PASS_MARGIN_S)
-    safe = options.margin_s >= needed_s
-    safe |= (told > 0) & options.can_wait
+    safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
+    safe |= likely.passed & options.can_wait
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     braking = options.driven.braking_mps2[: len(row)]
     gentle = options.stays_out & (braking <= COMFORT_BRAKING_MPS2 * band)
@@ -329,8 +355,19 @@ def _choose(
     doubted = tuple(
         one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
     )
+    goes = slot > 0
+    other = outlook.graphs.rear[row, np.where(goes, slot, likely.first)]
+    opposite = ["yield" if one else "pass" for one in goes.tolist()]
+    names_of = [outlook.scene.ids[v] for v in other.tolist()]
+    contradicts = np.array(
+        [
+            told is not None and pair in told.said
+            for told, pair in zip(before, zip(opposite, names_of, strict=True), strict=True)
+        ]
+    )
+    waits |= contradicts & (goes | safe)
     speaks = (likely.speaks | holds) & ~waits
-    return _Chosen(slot, speaks, np.where(slot > 0, safe, gentle), doubted)
+    return _Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
 
 
 def _suggestions(
@@ -343,7 +380,7 @@ def _suggestions(
     profiles = options.driven.of(np.where(goes, options.of_pass, rows))
     target = profiles.arrival_s(room)[:, 0]
     mean_mps = np.maximum(room[:, 0], 0.0) / np.maximum(target, 0.1)
-    ego, other = graphs.ego[row], graphs.rear[row, node]
+    ego, other = graphs.ego[row], chosen.other
     columns = zip(
         ego.tolist(),
         other.tolist(),
