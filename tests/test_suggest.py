@@ -62,10 +62,11 @@ def advise(
     """What the ego is told at the last of so many moments that differ in time alone."""
     scene, prediction = moment(vehicles, {"ego": chance})
     state = state or SuggestionState()
+    found: list[Suggestion] = []
     for frame in range(frames):
         now = replace(scene, time_s=0.1 * frame)
-        state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
-    return state, found
+        state, found[:] = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+    return state, found[0]
 
 
 def test_a_yield_names_whom_to_let_go_and_when() -> None:
