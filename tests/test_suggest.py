@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from conftest import crossing_lanes, scene_of
 
+from hatn_sim.assist.outlook import in_the_way, look_ahead
 from hatn_sim.assist.suggest import SuggestionState, Told, suggest
+from hatn_sim.assist.words import names
 from hatn_sim.datatypes import Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import begin, perceive
@@ -60,10 +62,11 @@ def advise(
     """What the ego is told at the last of so many moments that differ in time alone."""
     scene, prediction = moment(vehicles, {"ego": chance})
     state = state or SuggestionState()
+    found: list[Suggestion] = []
     for frame in range(frames):
         now = replace(scene, time_s=0.1 * frame)
-        state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
-    return state, found
+        state, found[:] = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+    return state, found[0]
 
 
 def test_a_yield_names_whom_to_let_go_and_when() -> None:
@@ -120,16 +123,27 @@ def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 5, 6])
-def test_advice_changes_once_it_has_been_doubted_for_half_a_second(frames: int) -> None:
+def test_a_safe_pass_is_taken_back_by_silence_after_half_a_second_of_doubt(frames: int) -> None:
     told = SuggestionState({"ego": Told("other", "pass", True)})
     _, found = advise(OPEN, [0.9, 0.1], told, frames)
-    assert found.action == ("yield" if frames == 6 else "pass")
+    assert found.action == ("abstain" if frames == 6 else "pass")
+
+
+def test_a_yield_is_never_followed_by_a_pass_before_the_same_vehicle() -> None:
+    state, found = advise(OPEN, [0.9, 0.1])
+    assert found.action == "yield"
+    for time_s in (1.0, 1.5, 2.0, 60.0):
+        scene, prediction = moment(OPEN, {"ego": [0.1, 0.9]})
+        now = replace(scene, time_s=time_s)
+        state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+        # After a minute without a choice it is another encounter.
+        assert found.action == {1.0: "yield", 60.0: "pass"}.get(time_s, "abstain"), time_s
 
 
 def test_advice_stands_while_another_slot_is_a_little_better() -> None:
     told = SuggestionState({"ego": Told("other", "pass", True)})
     assert advise(OPEN, [0.65, 0.35], told, 20)[1].action == "pass"
-    assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "yield"
+    assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "abstain"
 
 
 def test_an_unsafe_pass_is_taken_back_at_once() -> None:
@@ -142,3 +156,42 @@ def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> N
     for before in (SuggestionState(), SuggestionState({"ego": Told("ego", "abstain", True)})):
         chance = [0.5 + margin / 2, 0.5 - margin / 2]
         assert advise(TWO, chance, before)[1].action == expected
+
+
+@pytest.mark.parametrize(("other_m", "expected"), [(-12.0, True), (-2.0, False)])
+def test_a_nose_is_in_the_way_of_whoever_is_not_there_yet(other_m: float, expected: bool) -> None:
+    # The area ends 3.5 m before and behind the point where the lines cross.
+    vehicles = {"ego": (0.0, -2.0, NORTH, 8.0), "other": (other_m, 0.0, 0.0, 8.0)}
+    scene, prediction = moment(vehicles, {})
+    outlook = look_ahead(ROAD, scene, prediction)
+    row = np.flatnonzero(outlook.graphs.ego == scene.ids.index("ego"))
+    found = in_the_way(outlook, row)
+    assert bool(found.any()) == expected
+    node = int(outlook.graphs.node_mask[row[0]].nonzero()[0][-1])
+    assert outlook.room_m[row[0], node] == pytest.approx(-1.5)
+
+
+def test_whoever_has_its_nose_inside_is_not_asked_to_stop_there() -> None:
+    vehicles = {"ego": (0.0, -2.0, NORTH, 8.0), "other": (-12.0, 0.0, 0.0, 8.0)}
+    _, told = advise(vehicles, [0.95, 0.05])
+    # It is out after 5.5 m, and the other comes in after 8.5 m.
+    assert told.action == "pass" and min(told.profile_mps) > 7.9
+
+
+@pytest.mark.parametrize(
+    ("at", "side"),
+    [
+        ((10.0, 3.0), "ahead"),
+        ((10.0, -3.0), "ahead"),
+        ((10.0, 5.0), "from the left"),
+        ((-5.0, 10.0), "from the left"),
+        ((1.0, -10.0), "from the right"),
+        ((-10.0, 3.0), "behind"),
+        ((-10.0, -3.0), "behind"),
+    ],
+)
+def test_sides_are_told_by_the_bearing(at: tuple[float, float], side: str) -> None:
+    # atan(3 / 10) is 16.7 degrees, atan(5 / 10) 26.6: the border is at 22.5.
+    scene = scene_of(0.0, {"ego": (0.0, 0.0, 0.0, 5.0), "other": (*at, 0.0, 5.0)})
+    ego, other = (np.array([scene.ids.index(name)]) for name in ("ego", "other"))
+    assert names(scene, ego, other) == [f"the silver car {side}"]

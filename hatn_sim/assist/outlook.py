@@ -16,8 +16,8 @@ from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
     FAR_S,
-    KNOT_S,
-    KNOTS,
+    KNOT_AT_S,
+    LEADER,
     ROAD_REACH_M,
     ROAD_STEP_M,
     SLOWING_MPS2,
@@ -33,7 +33,6 @@ from hatn_sim.datatypes import (
     FloatArray,
     Front,
     IntArray,
-    Lines,
     Prediction,
     Scene,
     SemanticGraphs,
@@ -48,18 +47,21 @@ PLAUSIBLE_STD: Final = 1.28
 """One in ten of a component goes farther than this many of its standard deviations."""
 LEAVE_MARGIN_S: Final = 0.5
 """An area opens so long after whoever was let go has left it."""
+NOSE_M: Final = 0.5
+"""Whose front bumper is farther than this in an area is in the way there."""
 _ACCELERATION: Final = CONTEXT.index("acceleration_mps2 of the rear vehicle")
 
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """A moment, as far as slots are chosen by it."""
+    """A moment, as far as slots are chosen by it; [E, M] are 0 where a graph has no such node."""
 
     scene: Scene
     graphs: SemanticGraphs
     travelled_m: FloatArray  # [N, F] on the most probable predicted path
     room_m: FloatArray  # [E, M] from the ego's front bumper to the area
     clear_m: FloatArray  # [E, M] the ego's way until its rear bumper is out of the area
+    other_room_m: FloatArray  # [E, M] from the other's front bumper to the area
     ego_enter_s: FloatArray  # [E, M] as predicted
     enter_s: FloatArray  # [E, M] of the other, as predicted
     leave_s: FloatArray  # [E, M]
@@ -82,45 +84,34 @@ def look_ahead(
     whole = np.concatenate((scene.xy_m[:, None], path), axis=1)
     travelled = np.cumsum(np.linalg.norm(np.diff(whole, axis=1), axis=2), axis=1)
     fastest = fastest_travel_m(prediction, travelled)
-    ego = np.repeat(graphs.ego[:, None], graphs.rear.shape[1], axis=1)
-    other = np.maximum(graphs.rear, 0)
-    ego_half, other_half = _areas_m(road, scene, lines, graphs, ego, other)
+    e, m = np.nonzero(graphs.node_mask & (np.arange(graphs.rear.shape[1]) > 0))
+    index = np.stack((graphs.ego[e], graphs.rear[e, m]), axis=1)
+    to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
+    point_s = lines.s_m[index] + to_point
+    half, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
+    room, clear = to_point - half, to_point + half
+    ego, other = index.T
+
+    def by_node(of_pair: FloatArray) -> FloatArray:
+        whole = np.zeros(graphs.rear.shape)
+        whole[e, m] = of_pair
+        return whole
+
     taken_m, taken_s = _taken(pairs or at_conflicts(road, scene, lines), graphs, travelled)
-    room = graphs.ego_to_conflict_m - ego_half
-    other_room = graphs.rear_to_conflict_m - other_half
     return Outlook(
         scene=scene,
         graphs=graphs,
         travelled_m=travelled,
-        room_m=room,
-        clear_m=graphs.ego_to_conflict_m + ego_half,
-        ego_enter_s=arrival_s(travelled, ego, room),
-        enter_s=arrival_s(travelled, other, other_room),
-        leave_s=arrival_s(travelled, other, graphs.rear_to_conflict_m + other_half),
-        soonest_s=arrival_s(fastest, other, other_room),
+        room_m=by_node(room[:, 0]),
+        clear_m=by_node(clear[:, 0]),
+        other_room_m=by_node(room[:, 1]),
+        ego_enter_s=by_node(arrival_s(travelled, ego, room[:, 0])),
+        enter_s=by_node(arrival_s(travelled, other, room[:, 1])),
+        leave_s=by_node(arrival_s(travelled, other, clear[:, 1])),
+        soonest_s=by_node(arrival_s(fastest, other, room[:, 1])),
         taken_m=taken_m,
         taken_s=taken_s,
     )
-
-
-def _areas_m(
-    road: Road,
-    scene: Scene,
-    lines: Lines,
-    graphs: SemanticGraphs,
-    ego: IntArray,
-    other: IntArray,
-) -> tuple[FloatArray, FloatArray]:
-    """From the centre of who enters or has just left, to the point of conflict [E, M]: egos',
-    others'."""
-    half = np.zeros((2, *ego.shape))
-    e, m = np.nonzero(graphs.node_mask & (np.arange(ego.shape[1]) > 0))
-    index = np.stack((ego[e, m], other[e, m]), axis=1)
-    to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
-    point_s = lines.s_m[index] + to_point
-    of_pair, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
-    half[:, e, m] = of_pair.T
-    return half[0], half[1]
 
 
 def _taken(
@@ -189,12 +180,13 @@ def approaches(
     further = others & ~graphs.focus_mask[row]
     # At later conflicts the order is the predicted one.
     first |= further & (outlook.enter_s[row] < outlook.ego_enter_s[row])
+    # Whoever stops in somebody's way is no help to anybody.
+    first &= ~in_the_way(outlook, row)
     # Who has begun to merge is kept apart from those ahead by following them.
     merging = graphs.conflict_type[row] == ConflictType.MERGE
     closed = first & ~(merging & (outlook.room_m[row] <= 0.0))
     opens = outlook.leave_s[row] + LEAVE_MARGIN_S
-    knot_s: FloatArray = start_s + _KNOT_S
-    leader_m, leader_mps = _leaders(outlook, row, first, knot_s)
+    leader_m, leader_mps = _leaders(outlook, row, first, start_s + KNOT_AT_S)
     to_line = np.where(
         (graphs.front_type[row, 0] == Front.STOP) & ~has_stopped,
         graphs.x[row, 0, -1, 6],
@@ -221,6 +213,16 @@ def approaches(
         ),
         area_s,
     )
+
+
+def in_the_way(outlook: Outlook, row: IntArray) -> BoolArray:
+    """Of nodes [R, M]: the ego's nose is in the area, and the other is not, or merges behind it."""
+    graphs = outlook.graphs
+    others = graphs.node_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
+    behind = graphs.rear_to_conflict_m[row] > graphs.ego_to_conflict_m[row]
+    behind &= graphs.conflict_type[row] == ConflictType.MERGE
+    alone = behind | (outlook.other_room_m[row] > 0.0)
+    return others & (outlook.room_m[row] < -NOSE_M) & alone
 
 
 def _let_go(
@@ -259,30 +261,35 @@ def _let_go(
 def _leaders(
     outlook: Outlook, row: IntArray, first: BoolArray, time_s: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Rear bumper [R, G] and speed [R, G] of the nearest ahead of the ego's front bumper: of its
-    leader, and of those it lets merge before it, from when they have left the
-    area, or from now on where the ego has begun to merge behind them."""
+    """Rear bumper [R, G], from the ego's front bumper, and speed [R, G] of the nearest ahead.
+
+    That is its leader, or whoever of those `first` [R, M] merges before it: from now on where the
+    ego has begun to merge behind them, else from when they enter the area. Until they are past its
+    near end, they count as there: so that the ego comes no faster than it can follow.
+    """
     graphs, scene = outlook.graphs, outlook.scene
     ego, leader = graphs.ego[row], graphs.leader[row]
     travel, speed = travel_at(outlook.travelled_m, time_s)
     there = (leader >= 0)[:, None]
     ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
     ahead_mps = np.where(there, speed[leader], 0.0)
-    r, m = np.nonzero(first & (graphs.conflict_type[row] == ConflictType.MERGE))
-    other, of = graphs.rear[row[r], m], row[r]
-    half_m = 0.5 * (scene.size_m[ego[r], 0] + scene.size_m[other, 0])
-    before_m = graphs.ego_to_conflict_m[of, m] - graphs.rear_to_conflict_m[of, m] - half_m
-    begun = outlook.room_m[of, m] <= 0.0
-    in_lane = begun[:, None] | (time_s >= outlook.leave_s[of, m][:, None])
-    place = np.where(in_lane, before_m[:, None] + travel[other], np.inf)
-    for k in range(len(r)):  # one after the other: several may merge before one ego
-        nearer = place[k] < ahead[r[k]]
-        ahead[r[k], nearer] = place[k, nearer]
-        ahead_mps[r[k], nearer] = speed[other[k], nearer]
-    return ahead, ahead_mps
-
-
-_KNOT_S: Final[FloatArray] = KNOT_S * np.arange(KNOTS + 1, dtype=np.float64)
+    merges = first & (graphs.conflict_type[row] == ConflictType.MERGE)
+    if not merges.any():
+        return ahead, ahead_mps
+    other = np.maximum(graphs.rear[row], 0)
+    half_m = 0.5 * (scene.size_m[ego, 0][:, None] + scene.size_m[other, 0])
+    before_m = graphs.ego_to_conflict_m[row] - graphs.rear_to_conflict_m[row] - half_m
+    room_m = outlook.room_m[row]
+    begun = (room_m <= 0.0)[..., None]
+    near_end_m = np.where(begun, -np.inf, room_m[..., None] + LEADER.short_m)
+    place = np.maximum(before_m[..., None] + travel[other], near_end_m)
+    counts = merges[..., None] & (begun | (time_s >= outlook.enter_s[row][..., None]))
+    place = np.where(counts, place, np.inf)
+    nearest = place.argmin(axis=1)[:, None]
+    nearest_m = np.take_along_axis(place, nearest, axis=1)[:, 0]
+    nearest_mps = np.take_along_axis(speed[other], nearest, axis=1)[:, 0]
+    nearer = nearest_m < ahead
+    return np.where(nearer, nearest_m, ahead), np.where(nearer, nearest_mps, ahead_mps)
 
 
 def travel_at(travelled_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -295,27 +302,30 @@ def travel_at(travelled_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, 
     return path[:, low] + (frame - low) * step[:, low], step[:, low] / DT_S
 
 
-def pass_margin_s(
-    outlook: Outlook, row: IntArray, profiles: Profiles, enter_s: FloatArray
-) -> FloatArray:
-    """By how much egos [R] are out of every area of their focus group before others enter them.
+def pass_margins_s(
+    outlook: Outlook, row: IntArray, profiles: Profiles
+) -> tuple[FloatArray, FloatArray]:
+    """By how much egos [R] are out of every area of their focus group before others enter them:
+    at the earliest plausible entries, and at the predicted ones.
 
-    Others do so at `enter_s` [E, M]. Where lines merge, the ego has also to be far enough ahead
-    for the other to brake in comfort.
+    Where lines merge, the ego has also to be far enough ahead for the other to brake in comfort.
     """
     graphs = outlook.graphs
     group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
     clear_s = profiles.arrival_s(np.where(group, outlook.clear_m[row], 0.0))
-    margin = enter_s[row] - clear_s
-    merging = group & (graphs.conflict_type[row] == ConflictType.MERGE)
-    if merging.any():
-        other_mps = outlook.scene.speed_mps[np.maximum(graphs.rear[row], 0)]
-        knot = np.minimum((clear_s / KNOT_S).astype(np.int64), KNOTS)
-        own_mps = np.take_along_axis(profiles.speed_mps, knot, axis=1)
-        faster = np.maximum(other_mps - own_mps, 0.0)
-        needed_s = faster**2 / (2.0 * COMFORT_BRAKING_MPS2 * np.maximum(other_mps, 1.0))
-        margin = np.where(merging, margin - needed_s, margin)
-    return np.asarray(np.where(group, margin, np.inf).min(axis=1, initial=np.inf))
+    other_mps = outlook.scene.speed_mps[np.maximum(graphs.rear[row], 0)]
+    knot = np.minimum(np.searchsorted(KNOT_AT_S, clear_s, side="right") - 1, len(KNOT_AT_S) - 1)
+    own_mps = np.take_along_axis(profiles.speed_mps, knot, axis=1)
+    faster = np.maximum(other_mps - own_mps, 0.0)
+    brakes_s = faster**2 / (2.0 * COMFORT_BRAKING_MPS2 * np.maximum(other_mps, 1.0))
+    merging = graphs.conflict_type[row] == ConflictType.MERGE
+    needed_s = clear_s + np.where(merging, brakes_s, 0.0)
+
+    def margin(enter_s: FloatArray) -> FloatArray:
+        by_node = np.where(group, enter_s[row] - needed_s, np.inf)
+        return np.asarray(by_node.min(axis=1, initial=np.inf))
+
+    return margin(outlook.soonest_s), margin(outlook.enter_s)
 
 
 _POINTS: Final = round(ROAD_REACH_M / ROAD_STEP_M) + 1

@@ -12,13 +12,16 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, FloatArray
+from hatn_sim.datatypes import DT_S, FloatArray, IntArray
 
 PROFILE_FRAMES: Final = 50
 """5 s: what a plan is driven for (METHOD section 7)."""
-KNOT_S: Final = 0.25
-KNOTS: Final = round(PROFILE_FRAMES * DT_S / KNOT_S)
-"""Between knots the jerk is constant; the knots are 0 ... `KNOTS`."""
+KNOT_AT_S: Final[FloatArray] = np.array(
+    [0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0]
+)
+"""Between knots the jerk is constant. The first ones are closest: a new profile replaces them."""
+KNOTS: Final = len(KNOT_AT_S) - 1
+_KNOT_STEP_S: Final[list[float]] = np.diff(KNOT_AT_S).tolist()
 ROAD_STEP_M: Final = 2.5
 ROAD_REACH_M: Final = 50.0
 
@@ -79,7 +82,7 @@ class Approach:
 
 @dataclass(frozen=True, eq=False)
 class Profiles:
-    """How R vehicles drive, at knots every `KNOT_S` from the start on."""
+    """How R vehicles drive, at knots `KNOT_AT_S` after the start."""
 
     start_s: float
     speed_mps: FloatArray  # [R, G]
@@ -91,11 +94,17 @@ class Profiles:
         """[R] the hardest; how it brakes as it starts is not the profile's."""
         return np.asarray(np.maximum(-self.acceleration_mps2[:, 1:].min(axis=1), 0.0))
 
+    def of(self, rows: IntArray) -> Profiles:
+        """Some of them, in the order asked for."""
+        return Profiles(
+            self.start_s, self.speed_mps[rows], self.acceleration_mps2[rows], self.travelled_m[rows]
+        )
+
     def tick_speed_mps(self) -> FloatArray:
         """[R, F] at the end of each tick: the jerk is constant between knots."""
         low, part_s = _TICK_KNOT, _TICK_PART_S
         acceleration = self.acceleration_mps2
-        ramp = (acceleration[:, low + 1] - acceleration[:, low]) / KNOT_S
+        ramp = (acceleration[:, low + 1] - acceleration[:, low]) / _TICK_STEP_S
         speed = self.speed_mps[:, low] + part_s * (acceleration[:, low] + 0.5 * part_s * ramp)
         return np.asarray(np.maximum(speed, 0.0))
 
@@ -112,14 +121,17 @@ class Profiles:
         left_m = np.maximum(distance_m - self.travelled_m[:, -1:], 0.0)
         last = self.speed_mps[:, -1:]
         # Who stands at the end has no arrival; who rolls goes on at its speed.
-        later = KNOTS * KNOT_S + left_m / np.maximum(last, 1e-3)
-        time_s = np.where(left_m > 0.0, later, (after - 1 + np.maximum(within, 0.0)) * KNOT_S)
+        later = KNOT_AT_S[-1] + left_m / np.maximum(last, 1e-3)
+        step_s = KNOT_AT_S[after] - KNOT_AT_S[after - 1]
+        soon = KNOT_AT_S[after - 1] + np.maximum(within, 0.0) * step_s
+        time_s = np.where(left_m > 0.0, later, soon)
         return np.minimum(self.start_s + time_s, FAR_S)
 
 
 _TICK_S: Final = DT_S * np.arange(1, PROFILE_FRAMES + 1)
-_TICK_KNOT: Final = np.minimum((_TICK_S / KNOT_S + 1e-9).astype(np.int64), KNOTS - 1)
-_TICK_PART_S: Final = _TICK_S - KNOT_S * _TICK_KNOT
+_TICK_KNOT: Final = np.clip(np.searchsorted(KNOT_AT_S, _TICK_S + 1e-9) - 1, 0, KNOTS - 1)
+_TICK_PART_S: Final = _TICK_S - KNOT_AT_S[_TICK_KNOT]
+_TICK_STEP_S: Final = np.diff(KNOT_AT_S)[_TICK_KNOT]
 
 
 def drive(approach: Approach) -> Profiles:
@@ -139,23 +151,20 @@ def drive(approach: Approach) -> Profiles:
     )
     speeds[0], accelerations[0], travels[0] = speed, acceleration, travelled
     places = _places(approach)
-    for knot in range(1, KNOTS + 1):
+    for knot, step_s in enumerate(_KNOT_STEP_S, start=1):
         now = knot, speed, acceleration, travelled
         wanted = np.minimum(_keep_out(approach, places, *now), _by_road(approach, *now[1:]))
         jerk = np.where(wanted < -COMFORT_BRAKING_MPS2, HARD_JERK_MPS3, COMFORT_JERK_MPS3)
         before = acceleration
-        most = np.minimum(before + COMFORT_JERK_MPS3 * KNOT_S, COMFORT_ACCELERATION_MPS2)
-        least = np.maximum(before - jerk * KNOT_S, -HARD_BRAKING_MPS2)
+        most = np.minimum(before + COMFORT_JERK_MPS3 * step_s, COMFORT_ACCELERATION_MPS2)
+        least = np.maximum(before - jerk * step_s, -HARD_BRAKING_MPS2)
         acceleration = np.minimum(np.maximum(wanted, least), most)
-        after = speed + 0.5 * KNOT_S * (before + acceleration)
+        after = speed + 0.5 * step_s * (before + acceleration)
         # It stops rather than reverse, and starts again from an acceleration of nothing.
-        stopped = after < 0.0
-        if stopped.any():
-            acceleration = np.where(stopped, 0.0, acceleration)
-            after = np.maximum(after, 0.0)
-        step = KNOT_S * speed + KNOT_S**2 / 6.0 * (2.0 * before + acceleration)
-        travelled = travelled + np.maximum(step, 0.0)
-        speed = after
+        acceleration = np.where(after < 0.0, 0.0, acceleration)
+        step_m = step_s * speed + step_s**2 / 6.0 * (2.0 * before + acceleration)
+        travelled = travelled + np.maximum(step_m, 0.0)
+        speed = np.maximum(after, 0.0)
         speeds[knot], accelerations[knot], travels[knot] = speed, acceleration, travelled
     return Profiles(approach.start_s, speeds.T, accelerations.T, travels.T)
 
@@ -226,7 +235,7 @@ def _keep_out(
     wanted = np.where(needed > 0.8 * braking, np.minimum(wanted, -needed), wanted)
     areas = len(places.open_s)
     if areas:
-        left_s = places.open_s - (approach.start_s + (knot - 1) * KNOT_S)
+        left_s = places.open_s - (approach.start_s + KNOT_AT_S[knot - 1])
         wanted[:areas] = _in_time(left_s, room[:areas], speed, wanted[:areas])
     return np.asarray(wanted.min(axis=0))
 
@@ -236,7 +245,8 @@ def _in_time(
 ) -> FloatArray:
     """Acceleration [K, R] to arrive at areas as they open, in `left_s`, or to stop before them."""
     late_s = np.maximum(left_s, EASE_S)
-    even = 2.0 * (room_m - speed * late_s) / late_s**2
+    # As it opens the vehicle is a little before it: should it open late, that is what is left.
+    even = 2.0 * (room_m - AREA.short_m - speed * late_s) / late_s**2
     # What the last centimetres would take is not worth more than comfort.
     sure = left_s > SURE_S
     even = np.where(sure, even, np.maximum(even, -AREA.braking_mps2))

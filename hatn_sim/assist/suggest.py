@@ -12,17 +12,23 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.outlook import Outlook, approaches, look_ahead, pass_margin_s
+from hatn_sim.assist.outlook import (
+    NOSE_M,
+    Outlook,
+    approaches,
+    in_the_way,
+    look_ahead,
+    pass_margins_s,
+)
 from hatn_sim.assist.pairs import Pairs
 from hatn_sim.assist.profile import (
     COMFORT_BRAKING_MPS2,
-    KNOT_S,
-    KNOTS,
+    KNOT_AT_S,
     SHORT_M,
     Profiles,
     drive,
 )
-from hatn_sim.assist.words import words
+from hatn_sim.assist.words import names, words
 from hatn_sim.datatypes import (
     BoolArray,
     FloatArray,
@@ -44,18 +50,18 @@ SILENT_MARGIN: Final = -0.4
 """... and is doubted where another leads the one advised by this much."""
 DOUBT_S: Final = 0.5
 """Advice that is doubted for so long changes; at once where it would be unsafe."""
-PASS_MARGIN_S: Final = 0.1
+PASS_MARGIN_S: Final = 0.3
 """A pass is advised where the ego is out so long before anybody may plausibly come in ..."""
-KEEP_PASS_MARGIN_S: Final = 0.0
-"""... and stays advised while it is out before."""
+KEEP_MARGIN_S: Final = 0.0
+"""... and stays advised while it is out before, or could still be given up."""
 WAIT_KNOT: Final = 2
 """Whoever can still stop in comfort after so many knots of a pass need not give it up yet."""
+PAUSE_S: Final = 1.0
+"""Who has no choice for longer than this has another encounter then."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
 ROUNDING_S: Final = 1e-6
-HORIZON_S: Final = KNOTS * KNOT_S
-OUT_M: Final = 0.25
-"""A yield works if the ego gets no farther than this into an area before it opens."""
+HORIZON_S: Final = float(KNOT_AT_S[-1])
 AT_LINE_M: Final = 3.0
 STANDING_MPS: Final = 0.3
 
@@ -68,11 +74,13 @@ class Told:
     action: str
     feasible: bool
     doubted_s: float | None = None  # since when another slot would have been advised
+    said: frozenset[tuple[str, str]] = frozenset()  # (action, other vehicle) of all that was said
+    time_s: float = 0.0
 
 
 @dataclass(frozen=True)
 class SuggestionState:
-    """What every advised ego was told last, by its id, and who has stopped at the line ahead."""
+    """What egos were told within `PAUSE_S`, by id, and who has stopped at the line ahead."""
 
     told: Mapping[str, Told] = field(default_factory=dict[str, Told])
     stopped: frozenset[str] = frozenset()
@@ -98,23 +106,42 @@ def suggest(
     if egos is not None:
         choice &= np.array([scene.ids[v] in egos for v in graphs.ego.tolist()], dtype=np.bool_)
     row = np.flatnonzero(choice)
+    recent = {
+        name: told
+        for name, told in state.told.items()
+        if scene.time_s - told.time_s <= PAUSE_S + ROUNDING_S
+    }
     if not len(row):
-        return SuggestionState(stopped=stopped), ()
-    names = [scene.ids[v] for v in graphs.ego[row].tolist()]
-    before = [state.told.get(name) for name in names]
+        return SuggestionState(recent, stopped), ()
+    egos_now = [scene.ids[v] for v in graphs.ego[row].tolist()]
+    before = [recent.get(name) for name in egos_now]
     outlook = look_ahead(road, scene, prediction, pairs)
     likely = _likely(scene, graphs, chances, row, before)
-    has_stopped = np.array([name in stopped for name in names])
-    options = _options(outlook, row, likely.first, has_stopped)
+    has_stopped = np.array([name in stopped for name in egos_now])
+    options = _options(outlook, row, likely, has_stopped)
     chosen = _choose(outlook, row, likely, options, before)
     out = _suggestions(outlook, row, likely, options, chosen)
-    told = {
-        one.ego_id: Told(scene.ids[graphs.rear[e, m]], one.action, one.feasible, doubted_s)
-        for one, e, m, doubted_s in zip(
-            out, row.tolist(), chosen.slot.tolist(), chosen.doubted_s, strict=True
+    told = recent | {
+        one.ego_id: Told(
+            scene.ids[graphs.rear[e, m]],
+            one.action,
+            one.feasible,
+            doubted_s,
+            _said(old, one),
+            one.time_s,
+        )
+        for one, old, e, m, doubted_s in zip(
+            out, before, row.tolist(), chosen.slot.tolist(), chosen.doubted_s, strict=True
         )
     }
     return SuggestionState(told, stopped), out
+
+
+def _said(before: Told | None, now: Suggestion) -> frozenset[tuple[str, str]]:
+    """All that was said to an ego for as long as it has had a choice."""
+    said = frozenset[tuple[str, str]]() if before is None else before.said
+    pair = (now.action, now.slot_id or "")
+    return said if now.action == "abstain" or pair in said else said | {pair}
 
 
 def slot_profiles(
@@ -158,58 +185,78 @@ def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs
 
 
 @dataclass(frozen=True, eq=False)
+class _Chances:
+    """Probabilities of the slots of each ego [R]."""
+
+    of: FloatArray  # [R, M], -1 where there is no slot
+    best: IntArray  # [R]
+    second: FloatArray  # [R] of the best but one
+
+    def margin(self, slot: IntArray) -> FloatArray:
+        """[R] by which slots [R] lead the best of the others."""
+        rows = np.arange(len(slot))
+        others = np.where(slot == self.best, self.second, self.of[rows, self.best])
+        return np.asarray(self.of[rows, slot] - others)
+
+
+def _chances(focus_mask: BoolArray, chances: FloatArray) -> _Chances:
+    of = np.where(focus_mask, chances, -1.0)
+    best = of.argmax(axis=1)
+    others = of.copy()
+    others[np.arange(len(of)), best] = -1.0
+    return _Chances(of, best, others.max(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
 class _Likely:
     """The slot that each ego [R] is to take if nothing speaks against it."""
 
-    chance: FloatArray  # [R, M], -1 where there is no slot
+    chances: _Chances
     first: IntArray  # [R] the node of whoever is most probably the first of the others
     told: IntArray  # [R] the slot told before, -1: none, or it is gone
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
-
-    def margin(self, slot: IntArray) -> FloatArray:
-        """[R] by which slots [R] lead the best of the others."""
-        return _margin(self.chance, slot)
+    passed: BoolArray  # [R] was told to pass in this encounter
 
 
 def _likely(
     scene: Scene,
     graphs: SemanticGraphs,
-    chances: FloatArray,
+    slot_probability: FloatArray,
     row: IntArray,
     before: Sequence[Told | None],
 ) -> _Likely:
     """The slot told before, until another is clearly more probable."""
-    chance = np.where(graphs.focus_mask[row], chances[row], -1.0)
+    focus = graphs.focus_mask[row]
+    chances = _chances(focus, slot_probability[row])
     index = {name: v for v, name in enumerate(scene.ids)}
     rear = [
         -2 if told is None or told.action == "abstain" else index.get(told.slot_id, -2)
         for told in before
     ]
-    same = graphs.focus_mask[row] & (graphs.rear[row] == np.array(rear)[:, None])
-    first = first_of_others(graphs.focus_mask[row], chances[row])
+    same = focus & (graphs.rear[row] == np.array(rear)[:, None])
+    first = first_of_others(focus, slot_probability[row])
     told = np.where(same.any(axis=1), same.argmax(axis=1), -1)
-    stands = (told >= 0) & (_margin(chance, np.maximum(told, 0)) > SILENT_MARGIN)
-    slot = np.where(stands, told, chance.argmax(axis=1))
+    stands = (told >= 0) & (chances.margin(np.maximum(told, 0)) > SILENT_MARGIN)
+    slot = np.where(stands, told, chances.best)
     speed = scene.speed_mps[graphs.ego[row]]
     near = graphs.ego_to_conflict_m[row, 0] <= np.maximum(NEAR_S * speed, NEAR_M)
-    speaks = stands | ((told >= 0) | near) & (_margin(chance, slot) >= SPEAK_MARGIN)
-    return _Likely(chance, first, told, slot, speaks)
-
-
-def _margin(chance: FloatArray, slot: IntArray) -> FloatArray:
-    rows = np.arange(len(chance))
-    others = chance.copy()
-    others[rows, slot] = -1.0
-    return np.asarray(chance[rows, slot] - others.max(axis=1))
+    speaks = stands | ((told >= 0) | near) & (chances.margin(slot) >= SPEAK_MARGIN)
+    passed = np.array(
+        [one is not None and any(action == "pass" for action, _ in one.said) for one in before]
+    )
+    return _Likely(chances, first, told, slot, speaks, passed | (told > 0))
 
 
 @dataclass(frozen=True, eq=False)
 class _Options:
-    """What becomes of each ego [R] if it yields, and if it passes first of all."""
+    """What becomes of each ego [R] if it yields, or passes first of all.
 
-    yields: Profiles
-    passes: Profiles
+    A pass is driven only where it is in question; elsewhere its margins are minus infinity.
+    """
+
+    driven: Profiles  # [R + P] all yields, then the passes
+    of_pass: IntArray  # [R] the row in `driven`, of the yield where no pass is driven
     open_s: FloatArray  # [R] when the way is open on a yield
     let_go: IntArray  # [R] how many go first then
     stays_out: BoolArray  # [R] on a yield, if need be by braking hard
@@ -218,47 +265,48 @@ class _Options:
     likely_margin_s: FloatArray  # [R] of the pass, at the predicted one
 
 
-def _options(outlook: Outlook, row: IntArray, first: IntArray, stopped: BoolArray) -> _Options:
-    count = len(row)
-    both = np.concatenate((row, row))
+def _options(outlook: Outlook, row: IntArray, likely: _Likely, stopped: BoolArray) -> _Options:
+    graphs, count = outlook.graphs, len(row)
+    group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
+    still_ahead = group & ~in_the_way(outlook, row)
+    has_begun = ~still_ahead.any(axis=1)
+    room_m = np.where(group, outlook.room_m[row], np.inf).min(axis=1)
+    speed = outlook.scene.speed_mps[graphs.ego[row]]
+    asks = (likely.slot > 0) | likely.passed | has_begun | ~_stops(speed, room_m)
+    passing = np.flatnonzero(asks)
     # Whoever it is passed before, the ego drives as fast as it may.
-    slot = np.concatenate((np.zeros(count, dtype=np.int64), first))
-    firsts, stops = np.concatenate((first, first)), np.concatenate((stopped, stopped))
-    approach, open_s = approaches(outlook, both, slot, firsts, stops)
+    which = np.concatenate((np.arange(count), passing))
+    slot = np.concatenate((np.zeros(count, dtype=np.int64), likely.first[passing]))
+    approach, open_s = approaches(outlook, row[which], slot, likely.first[which], stopped[which])
     driven = drive(approach)
-    half = (slice(None, count), slice(count, None))
-    yields, passes = (
-        Profiles(
-            driven.start_s,
-            driven.speed_mps[part],
-            driven.acceleration_mps2[part],
-            driven.travelled_m[part],
-        )
-        for part in half
-    )
-    group = outlook.graphs.focus_mask[row].copy()
-    group[:, 0] = False
-    nodes = group.shape[1]
-    area_m, opens = approach.area_m[:count, :nodes], approach.open_s[:count, :nodes]
+    yields, passes = driven.of(np.arange(count)), driven.of(np.arange(count, len(which)))
+    area_m, opens = (of[:count, : group.shape[1]] for of in (approach.area_m, approach.open_s))
     # At the focus: what is further on can be seen to when this is behind.
     ahead = group & np.isfinite(area_m)
-    enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + OUT_M, np.inf))
+    enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + NOSE_M, np.inf))
+    margin, likely_margin = np.full((2, count), -np.inf)
+    margin[passing], likely_margin[passing] = pass_margins_s(outlook, row[passing], passes)
+    left_m = room_m[passing] - passes.travelled_m[:, WAIT_KNOT]
+    can_wait = ~asks
+    can_wait[passing] = _stops(passes.speed_mps[:, WAIT_KNOT], left_m)
+    of_pass = np.arange(count)
+    of_pass[passing] = np.arange(count, len(which))
     return _Options(
-        yields=yields,
-        passes=passes,
+        driven=driven,
+        of_pass=of_pass,
         open_s=open_s[:count],
-        can_wait=_can_wait(passes, np.where(group, outlook.room_m[row], np.inf).min(axis=1)),
         let_go=ahead.sum(axis=1),
-        stays_out=np.asarray((enters_s >= np.minimum(opens, HORIZON_S) - 0.1).all(axis=1)),
-        margin_s=pass_margin_s(outlook, row, passes, outlook.soonest_s),
-        likely_margin_s=pass_margin_s(outlook, row, passes, outlook.enter_s),
+        stays_out=(enters_s >= np.minimum(opens, HORIZON_S) - 0.1).all(axis=1) & ~has_begun,
+        can_wait=can_wait,
+        margin_s=margin,
+        likely_margin_s=likely_margin,
     )
 
 
-def _can_wait(passes: Profiles, room_m: FloatArray) -> BoolArray:
-    speed = passes.speed_mps[:, WAIT_KNOT]
-    left_m = np.maximum(room_m - passes.travelled_m[:, WAIT_KNOT] - SHORT_M, 0.05)
-    return speed**2 <= 2.0 * COMFORT_BRAKING_MPS2 * left_m
+def _stops(speed_mps: FloatArray, room_m: FloatArray) -> BoolArray:
+    """Whether one can stop in comfort, a little before the end of the room."""
+    left_m = np.maximum(room_m - SHORT_M, 0.05)
+    return np.asarray(speed_mps**2 <= 2.0 * COMFORT_BRAKING_MPS2 * left_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +314,8 @@ class _Chosen:
     """What each ego [R] is advised."""
 
     slot: IntArray
-    action: tuple[str, ...]
+    other: IntArray  # the vehicle to pass before, or the first to let go
+    speaks: BoolArray
     feasible: BoolArray
     doubted_s: tuple[float | None, ...]  # since when another slot would have been advised
 
@@ -278,32 +327,47 @@ def _choose(
     options: _Options,
     before: Sequence[Told | None],
 ) -> _Chosen:
+    """The likely slot, if it is safe; once told, a slot stays for as long as it can.
+
+    Nothing is said of a pass that is not safe yet, while there is time to wait and see. Advice is
+    taken back by silence, not by its opposite: but for a pass that is not safe any more.
+    """
     was_feasible = np.array([told is None or told.feasible for told in before])
     now_s = outlook.scene.time_s
     since = [None if told is None else told.doubted_s for told in before]
     since_s = np.array([now_s if one is None else one for one in since])
     told = likely.told
-    safe = options.margin_s >= np.where(told > 0, KEEP_PASS_MARGIN_S, PASS_MARGIN_S)
-    safe |= options.can_wait
+    safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
+    safe |= likely.passed & options.can_wait
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
-    gentle = options.stays_out & (options.yields.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
+    braking = options.driven.braking_mps2[: len(row)]
+    gentle = options.stays_out & (braking <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
-    open_to_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
+    may_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
     wants_pass = likely.slot > 0
-    passes = np.where(wants_pass, open_to_pass, ~options.stays_out)
+    passes = np.where(wants_pass, may_pass, ~options.stays_out)
     slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
+    waits = wants_pass & (told < 0) & ~may_pass & options.can_wait
     holds = (told >= 0) & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
-    holds &= np.where(told > 0, open_to_pass, options.stays_out)
+    holds &= np.where(told > 0, may_pass, options.stays_out)
     slot = np.where(holds, told, slot)
     doubted = tuple(
         one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
     )
-    action = tuple(
-        "abstain" if not speaks else ("pass" if goes else "yield")
-        for speaks, goes in zip((likely.speaks | holds).tolist(), (slot > 0).tolist(), strict=True)
+    goes = slot > 0
+    other = outlook.graphs.rear[row, np.where(goes, slot, likely.first)]
+    opposite = ["yield" if one else "pass" for one in goes.tolist()]
+    names_of = [outlook.scene.ids[v] for v in other.tolist()]
+    contradicts = np.array(
+        [
+            told is not None and pair in told.said
+            for told, pair in zip(before, zip(opposite, names_of, strict=True), strict=True)
+        ]
     )
-    return _Chosen(slot, action, np.where(slot > 0, safe, gentle), doubted)
+    waits |= contradicts & (goes | safe)
+    speaks = (likely.speaks | holds) & ~waits
+    return _Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
 
 
 def _suggestions(
@@ -313,43 +377,51 @@ def _suggestions(
     rows, goes = np.arange(len(row)), chosen.slot > 0
     node = np.where(goes, chosen.slot, likely.first)
     room = outlook.room_m[row, node][:, None]
-    profile = np.where(
-        goes[:, None], options.passes.tick_speed_mps(), options.yields.tick_speed_mps()
-    )
-    target = np.where(
-        goes, options.passes.arrival_s(room)[:, 0], options.yields.arrival_s(room)[:, 0]
-    )
+    profiles = options.driven.of(np.where(goes, options.of_pass, rows))
+    target = profiles.arrival_s(room)[:, 0]
     mean_mps = np.maximum(room[:, 0], 0.0) / np.maximum(target, 0.1)
-    chance, margin = likely.chance[rows, chosen.slot], likely.margin(chosen.slot)
-    speeds = np.round(profile, 3).tolist()
+    ego, other = graphs.ego[row], chosen.other
+    columns = zip(
+        ego.tolist(),
+        other.tolist(),
+        names(scene, ego, other),
+        np.where(chosen.speaks, np.where(goes, "pass", "yield"), "abstain").tolist(),
+        likely.chances.of[rows, chosen.slot].tolist(),
+        likely.chances.margin(chosen.slot).tolist(),
+        target.tolist(),
+        mean_mps.tolist(),
+        chosen.feasible.tolist(),
+        options.let_go.tolist(),
+        options.open_s.tolist(),
+        np.round(profiles.tick_speed_mps(), 3).tolist(),
+        strict=True,
+    )
     return tuple(
         Suggestion(
-            ego_id=scene.ids[ego],
+            ego_id=scene.ids[mine],
             time_s=scene.time_s,
             action=action,
-            slot_id=scene.ids[other],
-            probability=float(chance[k]),
-            margin=float(margin[k]),
-            target_time_s=float(target[k]),
-            advised_speed_mps=float(mean_mps[k]),
-            feasible=bool(chosen.feasible[k]),
-            text=words(
-                scene,
-                ego,
-                other,
-                action,
-                more=int(options.let_go[k]) - 1,
-                open_s=float(options.open_s[k]),
-                feasible=bool(chosen.feasible[k]),
-            ),
-            profile_mps=() if action == "abstain" else tuple(speeds[k]),
+            slot_id=scene.ids[its],
+            probability=chance,
+            margin=margin,
+            target_time_s=target_s,
+            advised_speed_mps=advised_mps,
+            feasible=feasible,
+            text=words(who, action, more=let_go - 1, open_s=open_s, feasible=feasible),
+            profile_mps=() if action == "abstain" else tuple(speeds),
         )
-        for k, (ego, other, action) in enumerate(
-            zip(
-                graphs.ego[row].tolist(),
-                graphs.rear[row, node].tolist(),
-                chosen.action,
-                strict=True,
-            )
-        )
+        for (
+            mine,
+            its,
+            who,
+            action,
+            chance,
+            margin,
+            target_s,
+            advised_mps,
+            feasible,
+            let_go,
+            open_s,
+            speeds,
+        ) in columns
     )

@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from typing import Final
 
-from hatn_sim.datatypes import Kind, Scene
+import numpy as np
+
+from hatn_sim.datatypes import IntArray, Kind, Scene
+from hatn_sim.geometry import wrap_angle
 
 UNKNOWN_S: Final = 10.0
 """Later than this nobody can say when the other will be gone."""
 
 
+def names(scene: Scene, ego: IntArray, other: IntArray) -> list[str]:
+    """How drivers of vehicles `ego` [R] would name vehicles `other` [R]."""
+    x, y = (scene.xy_m[other] - scene.xy_m[ego]).T
+    bearing = wrap_angle(np.arctan2(y, x) - scene.yaw_rad[ego])
+    eighth = np.floor(bearing / (np.pi / 8)).astype(np.int64)
+    return [
+        f"the {_colour(*colour)} {_KINDS[kind]} {_SIDES[of]}"
+        for colour, kind, of in zip(
+            scene.colour[other].tolist(), scene.kind[other].tolist(), eighth.tolist(), strict=True
+        )
+    ]
+
+
 def words(
-    scene: Scene,
-    ego: int,
-    other: int,
-    action: str,
-    *,
-    more: int = 0,
-    open_s: float = 0.0,
-    feasible: bool = True,
+    who: str, action: str, *, more: int = 0, open_s: float = 0.0, feasible: bool = True
 ) -> str:
-    """What to tell the driver of vehicle `ego` about vehicle `other`.
+    """What to tell a driver about another vehicle, named as `names` does.
 
     `more` others are let go with it on a yield, and the way is open in `open_s`.
     """
-    colour, kind = _colour(*scene.colour[other].tolist()), Kind(int(scene.kind[other]))
-    who = f"the {colour} {kind.name.lower()} {_side(scene, ego, other)}"
     if action == "abstain":
         return f"Watch {who}: too close to call"
     if action == "pass":
@@ -36,22 +42,23 @@ def words(
         who += f" and {more} more"
     if not feasible:
         return f"Brake hard: yield to {who}"
-    them = "them" if more else "it"
     if open_s > UNKNOWN_S:
         return f"Yield to {who}; wait until the way is clear"
-    return f"Yield to {who}; go after {them} in {open_s:.1f} s"
+    return f"Yield to {who}; go after {'them' if more else 'it'} in {open_s:.1f} s"
 
 
-def _side(scene: Scene, ego: int, other: int) -> str:
-    x, y = (scene.xy_m[other] - scene.xy_m[ego]).tolist()
-    bearing = math.remainder(math.atan2(y, x) - float(scene.yaw_rad[ego]), math.tau)
-    if abs(bearing) < math.pi / 8:
-        return "ahead"
-    if abs(bearing) > 7 * math.pi / 8:
-        return "behind"
-    return "from the left" if bearing > 0 else "from the right"
-
-
+_SIDES: Final = {
+    eighth: "behind"
+    if eighth in (-8, 7, 8)
+    else "ahead"
+    if eighth in (-1, 0)
+    else "from the left"
+    if eighth > 0
+    else "from the right"
+    for eighth in range(-8, 9)
+}
+"""Bearings of 22.5 degrees each, from behind on the right to behind on the left."""
+_KINDS: Final = {int(kind): kind.name.lower() for kind in Kind}
 _COLOURS: Final = {
     "white": (240, 240, 240),
     "silver": (180, 185, 190),

@@ -3,7 +3,7 @@
 | number | what it is |
 |---|---|
 | encounter | a stretch in which the advice for an ego names a vehicle to pass before or to let go first, pauses under 1 s closed |
-| switch | within an encounter, the advice is to pass before the vehicle and then to let it go, or the other way round; abstentions between are passed over |
+| switch | a change between yield and pass of an ego's advice about the same other vehicle within an encounter. "Yield, then go after it" is one piece of advice; an abstention is no switch, and advice after it is compared with that before |
 | crossing | a stretch in which a vehicle's own graph has an active conflict, pauses under 1 s closed |
 | agreement | the slot advised is the slot really taken (`labels.slot_label`), of suggestions that do not abstain and whose slot taken is known; sampled every 0.5 s |
 """  # noqa: E501 - rows of a table

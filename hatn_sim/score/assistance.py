@@ -17,7 +17,7 @@
 | `unattributed_per_hour`, `brief_per_hour` | 1/h | braking for nobody, braking in single frames |
 | `suggestion_agreement` | share | see `advised` |
 | `suggestion_brier`, `_ece` | 1, share | of the probability of the slot advised; 15 bins |
-| `suggestion_switches` | 1 | per encounter |
+| `suggestion_switches` | 1 | per encounter: changes between yield and pass, see `advised` |
 | `suggestion_abstained` | share | of the sampled suggestions |
 | `useful_share` | share | of judged alerts that an event would follow: obeying removes it |
 | `harmful_share`, `unneeded_share` | share | of judged alerts |
