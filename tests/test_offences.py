@@ -42,7 +42,7 @@ class Drives:
     def _future(self, changes: Sequence[Lawful], horizon_s: float) -> Branch | None:
         if self.lost and changes:
             return None
-        time_s = self.asked_s[0] + DT_S * np.arange(round(horizon_s / DT_S) + 1)
+        time_s = self.asked_s[0] + DT_S * np.arange(round(horizon_s / DT_S) + 1, dtype=np.float64)
         speed = np.full((len(time_s), 2), SPEED_MPS)
         if self.offends and any(one.ego_id == "foe" for one in changes):
             speed[:, 1] -= 2.0 * np.maximum(time_s - 104.0, 0.0)
