@@ -23,6 +23,7 @@ from hatn_sim.road import Road
 from hatn_sim.score.dangers import DangerRecorder, alerts_at
 
 NORTH = np.pi / 2
+WHY = "both come to one place at once, and neither gives way in comfort"
 
 
 def moment(
@@ -66,6 +67,13 @@ def test_two_who_go_on_into_each_other_are_in_danger() -> None:
     # After 1 s both are 7.5 m before the area at 9 m/s; the other is out of it 14.5 m later.
     t = 14.5 / 9.0
     np.testing.assert_allclose(found.danger, [2.0 * (9.0 * t - 7.5) / t**2], rtol=0.03)
+
+
+def test_two_who_set_off_at_once_are_in_danger_though_they_can_stop() -> None:
+    # After 1 s both are 3.5 m before the area at 4 m/s, and 2.3 m/s2 would do to stop.
+    found = hatn_rule(moment((10.0, 2.0, 2.0), (10.0, 2.0, 2.0)))
+    np.testing.assert_allclose(found.danger, [0.75 * (2.0 + 2.0)], rtol=0.01)
+    assert hatn_rule(moment((10.0, 2.0, 2.0), (10.0, 2.0, 0.0))).danger[0] < 2.3
 
 
 @pytest.mark.parametrize(
@@ -154,8 +162,8 @@ def test_an_alert_begins_peaks_and_ends() -> None:
     assert [round(one.time_s, 1) for one in told] == [0.1, 0.2, 0.3]
     assert [one.severity for one in told] == pytest.approx([on / 9.0, 0.5, 0.5])
     assert {(one.alert_id, one.ego_id, one.other_id) for one in told} == {("a00001", "b", "a")}
-    assert told[0].reason == "both need to brake at 1.8 m/s2 or more not to meet"
-    assert told[1].reason == "both need to brake at 4.5 m/s2 or more not to meet"
+    assert told[0].reason == f"{WHY}: 1.8 m/s2"
+    assert told[1].reason == f"{WHY}: 4.5 m/s2"
 
 
 def test_danger_that_comes_back_soon_is_the_same_alert() -> None:
@@ -174,7 +182,7 @@ def test_egos_choose_whose_alerts_are_told_and_who_is_ego() -> None:
 def test_a_deviation_names_who_deviates() -> None:
     told = edges_of([3.0], frozenset({"a"}), DEVIATION)
     assert {one.type for one in told} == {"DEVIATION"}
-    assert told[0].reason.startswith("b was to give way; both need")
+    assert told[0].reason.startswith(f"b was to give way; {WHY}")
 
 
 def test_live_alerts_are_those_found_afterwards_in_the_trace() -> None:

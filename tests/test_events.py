@@ -107,13 +107,23 @@ def test_pauses_under_a_second_are_one_braking_and_longer_ones_two() -> None:
         assert len(brakings(drive(("a", straight(profile, 0.0, -60.0, 0.0))))) == count
 
 
-def test_emergency_braking_counts_however_brief() -> None:
-    profile = speeds((10, 0.0), (1, -9.0), (20, 0.0))
+@pytest.mark.parametrize(
+    ("frames", "start_mps", "brief"),
+    [
+        (1, 12.0, True),  # 0.9 m/s lost: 3 m/s2 on the mean of three frames
+        (2, 12.0, False),  # 1.8 m/s lost: 6 m/s2
+        (2, 1.34, True),  # stands after 1.34 m/s
+        (2, 1.36, False),  # stands after 1.36 m/s
+    ],
+)
+def test_emergency_braking_is_judged_by_the_speed_lost(
+    frames: int, start_mps: float, brief: bool
+) -> None:
+    profile = speeds((10, 0.0), (frames, -9.0), (20, 0.0), start_mps=start_mps)
     way = straight(profile, 0.0, -60.0, 0.0)
-    (told,) = brakings(drive(("a", way), emergency_braking=[(101.1, "a")]))
-    assert (told.start_frame, told.emergency, told.brief) == (10, True, False)
-    (silent,) = brakings(drive(("a", way)))
-    assert silent.brief
+    for marks in ([(101.1, "a")], []):
+        (told,) = brakings(drive(("a", way), emergency_braking=marks))
+        assert (told.start_frame, told.emergency, told.brief) == (10, bool(marks), brief)
 
 
 def test_who_comes_into_view_or_teleports_has_not_braked() -> None:

@@ -121,5 +121,6 @@ def _worst(dangers: PairDangers, least: float) -> tuple[IntArray, IntArray, Floa
 
 
 def _reason(type_: str, danger_mps2: float, deviates_id: str) -> str:
-    why = f"both need to brake at {danger_mps2:.1f} m/s2 or more not to meet"
+    why = "both come to one place at once, and neither gives way in comfort"
+    why = f"{why}: {danger_mps2:.1f} m/s2"
     return why if type_ == TYPES[CONFLICT] else f"{deviates_id} was to give way; {why}"

@@ -1,10 +1,12 @@
-"""How dangerous each pair is now: our alert rule (METHOD section 7), in m/s2 of braking needed.
+"""How dangerous each pair is now: our alert rule (METHOD section 7), in m/s2.
 
 CONFLICT: both are predicted to be in their area at once, or nearly so, whether they drive as HATN
-predicts or go on as they move now; and neither could avoid it in comfort. The danger of a pair is
-the braking that the better placed of the two would need if it began only after a reaction time, in
-which everybody goes on as now. So it grows early where the two speed up towards each other, and
-stays small where one already brakes, however near they are.
+predicts or go on as they move now; and neither could avoid it in comfort, or neither is about to.
+The danger of a pair is the braking that the better placed of the two would need if it began only
+after a reaction time, in which everybody goes on as now. So it grows early where the two speed up
+towards each other, and stays small where one already brakes, however near they are. But as long as
+they speed up, it is at least `NOBODY_GIVES_WAY` of the sum of their accelerations: those who set
+off at once, far and slow enough to stop with ease, startle each other into stopping dead.
 
 It is a DEVIATION where one of the two does what the model was confident it would not: it goes
 first, though a second ago it was all but sure to let somebody go. Deviations that endanger nobody
@@ -32,7 +34,10 @@ from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, BoolArray, FloatArray, IntA
 
 MOST_MPS2: Final = 9.0
 """More than a vehicle can brake at: worse is not told apart."""
+NOBODY_GIVES_WAY: Final = 0.75
 ACCELERATION_FRAMES: Final = 2
+MOST_GAIN_MPS2: Final = 3.0
+"""No car speeds up more in traffic: what is more is noise."""
 FASTEST_MPS: Final = 14.0
 """Nobody is taken to speed up beyond this, or beyond the speed he has."""
 
@@ -74,6 +79,7 @@ class Outlook:
     predicted: Times
     going_on: Times  # as everybody moves now
     needed_mps2: FloatArray  # [Q, 2] of braking to give way, begun after the reaction time
+    gained_mps2: FloatArray  # [Q, 2] by who speeds up now, else 0
 
 
 def outlook_of(
@@ -101,7 +107,12 @@ def outlook_of(
         (path_m[:, after] - path_m[:, after - 1]) / DT_S,
         np.maximum(predicted.leave_s - reaction_s, 0.0),
     )
-    return Outlook(predicted, times_predicted(pairs, kept_m), np.minimum(needed, MOST_MPS2))
+    return Outlook(
+        predicted,
+        times_predicted(pairs, kept_m),
+        np.minimum(needed, MOST_MPS2),
+        np.clip(acceleration_mps2[pairs.index], 0.0, MOST_GAIN_MPS2),
+    )
 
 
 def kept_travel_m(speed_mps: FloatArray, acceleration_mps2: FloatArray) -> FloatArray:
@@ -118,7 +129,8 @@ def conflict_mps2(pairs: Pairs, outlook: Outlook, settings: AssistSettings) -> F
     for times in (outlook.predicted, outlook.going_on):
         at_once = at_once & (times.encroachment_s() < settings.encroachment_s)
         at_once &= times.second_s() < settings.soon_s
-    return np.where(at_once, outlook.needed_mps2.min(axis=1), 0.0)
+    both_go = NOBODY_GIVES_WAY * outlook.gained_mps2.sum(axis=1)
+    return np.where(at_once, np.maximum(outlook.needed_mps2.min(axis=1), both_go), 0.0)
 
 
 def yield_probability(ids: tuple[str, ...], index: IntArray, prediction: Prediction) -> FloatArray:

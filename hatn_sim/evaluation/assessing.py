@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,6 +32,7 @@ from hatn_sim.score.counterfactual import CounterfactualSettings
 from hatn_sim.score.dangers import DangerRecorder
 from hatn_sim.score.driven import DrivenRecorder
 from hatn_sim.score.events import severe_events, vehicle_hours
+from hatn_sim.score.offences import warnable_s
 from hatn_sim.score.what_if import Line, WhatIf
 from hatn_sim.traffic import open_traffic
 
@@ -111,8 +112,10 @@ def assess(plan: AssessPlan, teller: Teller) -> tuple[AssessedRun, int]:
                 break
             frame = simulator.step()
         looking.finish()
-        notices = tuple(simulator.notices)
-    return looking.assessed(notices), done
+        run = looking.assessed(tuple(simulator.notices))
+        if plan.counterfactuals and simulator.cannot_branch is None:
+            run = replace(run, warnable_s=warnable_s(simulator, plan.seed, run.events))
+    return run, done
 
 
 class _Looking:

@@ -11,12 +11,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from hatn_sim.datatypes import SafetyEvent
+from hatn_sim.datatypes import FloatArray, SafetyEvent
 from hatn_sim.errors import InputError
 from hatn_sim.score.advised import Advised
 from hatn_sim.score.dangers import DangerTrace
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 _TRACE: Final = ("time_s", "first", "second", "danger", "type")
 
 
@@ -33,6 +33,7 @@ class AssessedRun:
     traces: Mapping[str, DangerTrace]  # by rule
     advised: Advised
     counterfactuals: tuple[Mapping[str, Any], ...] = ()  # lines of counterfactuals.jsonl
+    warnable_s: FloatArray | None = None  # of `events`, as `offences` has it; None: nobody asked
     made_with: Mapping[str, Any] = field(default_factory=dict[str, Any])  # settings, to compare
     notices: tuple[str, ...] = ()
 
@@ -62,6 +63,8 @@ def write_assessed(path: Path, run: AssessedRun) -> None:
         "agrees": advised.agrees,
         "always_yield_agrees": advised.always_yield_agrees,
     }
+    if run.warnable_s is not None:
+        arrays["warnable_s"] = run.warnable_s
     for number, trace in enumerate(run.traces.values()):
         arrays |= {f"{number}.{name}": getattr(trace, name) for name in _TRACE}
     unfinished = path.with_name(f"{path.name}.tmp")
@@ -109,6 +112,7 @@ def _run_of(head: dict[str, Any], arrays: dict[str, Any]) -> AssessedRun:
             always_yield_agrees=arrays["always_yield_agrees"],
         ),
         counterfactuals=tuple(head["counterfactuals"]),
+        warnable_s=arrays.get("warnable_s"),
         made_with=head["made_with"],
         notices=tuple(head["notices"]),
     )

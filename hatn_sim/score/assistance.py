@@ -4,7 +4,9 @@
 |---|---|---|
 | `event_recall` | share | of T1 and T2 events: an alert came before |
 | `recall_1s0` ... `recall_2s5` | share | of T1 and T2 events: it came 1.0, 1.5, 2.0, 2.5 s before |
-| `recall_t1`, `recall_t2` | share | of the events of one tier |
+| `recall_in_time` | share | of T1 and T2 events: it came 1.5 s before, or by \
+when the offender first did otherwise than lawfully, if that was later (see `offences`) |
+| `recall_t1`, `recall_t2`, `recall_brief` | share | of the events of one tier |
 | `recall_t3_1s5`, `_1s0` | share | of T3 events with an encroachment time under 1.5, 1.0 s |
 | `recall_t3_rare` | share | of those under the 1 % quantile of courteous drivers in that scene |
 | `precision` | share | hits of hits and false alarms |
@@ -48,9 +50,11 @@ from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, S
 from hatn_sim.score import intervals
 from hatn_sim.score.assessed import AssessedRun
 from hatn_sim.score.dangers import alerts_at, oracle_alerts
+from hatn_sim.score.events import BRIEF
 from hatn_sim.score.matching import SEVERE, Outcome, match
 
 LEADS_S: Final = {"recall_1s0": 1.0, "recall_1s5": 1.5, "recall_2s0": 2.0, "recall_2s5": 2.5}
+IN_TIME_S: Final = 1.5
 NEAR_S: Final = {"recall_t3_1s5": 1.5, "recall_t3_1s0": 1.0}
 RARE: Final = "recall_t3_rare"
 RARE_SHARE: Final = 0.01
@@ -66,17 +70,20 @@ NONE_SEEN: Final = -np.log(0.5 * (1.0 - intervals.LEVEL))
 ROUNDING_S: Final = 1e-6
 
 COLUMNS: Final = (
-    "events", "recalled", *LEADS_S, "t1", "t1_recalled", "t2", "t2_recalled",
+    "events", "recalled", *LEADS_S, "asked", "in_time",
+    *(f"{tier}{part}" for tier in ("t1", "t2", "brief") for part in ("", "_recalled")),
     *(f"{name}{part}" for name in (*NEAR_S, RARE) for part in ("", "_recalled")),
-    "hits", "duplicates", "near", "false", "hours", "crossings", "unattributed", "brief",
+    "hits", "duplicates", "near", "false", "hours", "crossings", "unattributed", "all_brief",
 )  # fmt: skip
 """What is counted in every run."""
 _OF: Final = {name: k for k, name in enumerate(COLUMNS)}
 RATIOS: Final = {
     "event_recall": ("recalled", "events", "share"),
     **{name: (name, "events", "share") for name in LEADS_S},
+    "recall_in_time": ("in_time", "asked", "share"),
     "recall_t1": ("t1_recalled", "t1", "share"),
     "recall_t2": ("t2_recalled", "t2", "share"),
+    "recall_brief": ("brief_recalled", "brief", "share"),
     **{name: (f"{name}_recalled", name, "share") for name in (*NEAR_S, RARE)},
     "false_alarms_per_hour": ("false", "hours", "1/h"),
     "false_alarms_per_100_crossings": ("false", "crossings", "1"),
@@ -84,7 +91,7 @@ RATIOS: Final = {
     "duplicates": ("duplicates", "recalled", "1"),
     "events_per_hour": ("events", "hours", "1/h"),
     "unattributed_per_hour": ("unattributed", "hours", "1/h"),
-    "brief_per_hour": ("brief", "hours", "1/h"),
+    "brief_per_hour": ("all_brief", "hours", "1/h"),
 }
 """Measure -> numerator, denominator, unit."""
 
@@ -169,7 +176,10 @@ def _count(
     run: AssessedRun, alerts: Sequence[AlertInterval], rare: float
 ) -> tuple[FloatArray, FloatArray]:
     """(counts, lead times of the severe events that were preceded)."""
-    events = [event for event in run.events if event.tier != "T3" or _is_close(event)]
+    counted = [k for k, one in enumerate(run.events) if one.tier != "T3" or _is_close(one)]
+    events = [run.events[k] for k in counted]
+    unasked = np.full(len(events), np.nan)
+    warnable_s = unasked if run.warnable_s is None else run.warnable_s[counted]
     found = match(events, alerts, run.window_s)
     low_s, high_s = run.window_s
     tier = np.array([event.tier for event in events], dtype=np.str_)
@@ -179,11 +189,15 @@ def _count(
     severe, recalled = np.isin(tier, SEVERE), found.alert_of_event >= 0
     of = found.is_scored
     leads = found.lead_s[of & severe & recalled]
+    asked = of & severe & ~np.isnan(warnable_s)
+    in_time = recalled & (found.lead_s >= np.minimum(warnable_s, IN_TIME_S) - ROUNDING_S)
     outcome = np.bincount(found.outcome, minlength=len(Outcome))
     counts = {
         "events": (of & severe).sum(),
         "recalled": (of & severe & recalled).sum(),
         **{name: (leads >= least - ROUNDING_S).sum() for name, least in LEADS_S.items()},
+        "asked": asked.sum(),
+        "in_time": (asked & in_time).sum(),
         "hits": outcome[Outcome.HIT],
         "duplicates": outcome[Outcome.DUPLICATE],
         "near": outcome[Outcome.NEAR],
@@ -191,10 +205,10 @@ def _count(
         "hours": run.vehicle_hours,
         "crossings": run.advised.crossings / 100.0,
         "unattributed": (inside & alone & severe).sum(),
-        "brief": (inside & (tier == "brief")).sum(),
+        "all_brief": (inside & (tier == BRIEF)).sum(),
     }
-    for name in ("t1", "t2"):
-        own = of & (tier == name.upper())
+    for name, its_tier in (("t1", "T1"), ("t2", "T2"), ("brief", BRIEF)):
+        own = of & (tier == its_tier)
         counts |= {name: own.sum(), f"{name}_recalled": (own & recalled).sum()}
     for name, most_s in {**NEAR_S, RARE: rare}.items():
         own = of & (tier == "T3") & (near_s < most_s - ROUNDING_S)

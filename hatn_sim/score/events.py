@@ -6,11 +6,14 @@ and a branch are judged alike. Where METHOD is silent, this holds:
 - T1: a pair that touches again is the same collision: SUMO repeats a contact while the two overlap.
   Pairs that touch in the first frame met before anybody looked, and are left out.
 - T2: a braking is a stretch in which a vehicle loses speed beyond comfort, at 3 m/s² or more, in
-  every frame. It is evasive if it reaches 4.5 m/s² over three frames (0.3 s), or SUMO's emergency
-  braking, anywhere. It starts when its stretch does, which is earlier than when it gets hard: an
-  alert has to come before both. Stretches less than 1 s apart are one.
-- Simulated drivers who creep forward at less than 1.4 m/s may stand again a tick later: 4.5 m/s² or
-  more in a single frame. Such are told apart, as "brief", counted, and neither T2 nor nothing.
+  every frame. It is evasive if it loses 4.5 m/s² on the mean of some three frames (0.3 s), 1.35 m/s
+  or more, whether SUMO calls it emergency braking or not. It starts when its stretch does, which is
+  earlier than when it gets hard: an alert has to come before both. Stretches less than 1 s apart
+  are one.
+- METHOD does not say over what time deceleration is taken, and a single frame is too little: SUMO's
+  drivers who creep forward at less than 1.35 m/s may stand again a tick later, at 9 m/s² and called
+  emergency braking, in which a passenger feels the jolt of any halt: no vehicle's brakes and no
+  body follow within 0.1 s. Such are told apart, as "brief", counted, and neither T2 nor nothing.
 - Brakings for the same foe that start within 5 s are one event of the pair, whoever braked. Braking
   that starts with the contact of the pair or up to 5 s after it came of that and evades nothing.
 - Vehicles that teleport, or were not in view in the frame before, have not braked.
@@ -32,7 +35,7 @@ EVASIVE_MPS2: Final = 4.5
 BEYOND_COMFORT_MPS2: Final = 3.0
 """The comfort limit of suggestions: braking from here on is no longer everyday."""
 BRIEF: Final = "brief"
-"""The tier of brakings that are hard in single frames only."""
+"""The tier of brakings that are hard, or SUMO's emergency braking, in single frames only."""
 ROUNDING_MPS2: Final = 1e-6
 """A braking of exactly the threshold counts, whatever the last bit of a difference of speeds."""
 SUSTAINED_FRAMES: Final = 3
@@ -96,7 +99,7 @@ def brakings(driven: Driven) -> list[Braking]:
     lost_mps2 = deceleration_mps2(driven)
     emergency = _marked(driven, driven.emergency_braking) & (lost_mps2 > 0.0)
     hard = (lost_mps2 >= EVASIVE_MPS2 - ROUNDING_MPS2) | emergency
-    evasive = (_sustained(driven, lost_mps2) >= EVASIVE_MPS2 - ROUNDING_MPS2) | emergency
+    evasive = _sustained(driven, lost_mps2) >= EVASIVE_MPS2 - ROUNDING_MPS2
     row = np.flatnonzero(hard | (lost_mps2 >= BEYOND_COMFORT_MPS2 - ROUNDING_MPS2))
     if not len(row):
         return []
