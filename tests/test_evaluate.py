@@ -372,6 +372,12 @@ def test_mistakes_are_one_line(
     assert [path.name for path in here.iterdir()] == ["file"]
 
 
+def test_a_predictor_named_twice_is_taken_once(capsys: pytest.CaptureFixture[str]) -> None:
+    found = load_predictors(("idm", "constant_velocity", "idm"), None, "none", quiet=False)
+    assert [one.name for one in found] == ["idm", "constant_velocity"]
+    assert capsys.readouterr().err == "hatn-sim: idm: named twice, taken once\n"
+
+
 def test_something_else_in_the_place_of_a_run(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
