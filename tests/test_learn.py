@@ -193,6 +193,17 @@ def test_both_forms_and_the_one_that_is_there_already_is_kept(tmp_path: Path, sp
 
 
 @pytest.mark.usefixtures("few_samples")
+def test_a_form_is_trained_alike_alone_and_beside_another(tmp_path: Path, split: Split) -> None:
+    forms = {"hatn": SMALL, "paper": SMALL}
+    train(TrainingPlan(split, forms, seed=3), tmp_path / "both.safetensors")
+    for form, ending in (("hatn", ""), ("paper", "-paper")):
+        name = f"alone{ending}.safetensors"
+        train(TrainingPlan(split, {form: SMALL}, seed=3), tmp_path / "alone.safetensors")
+        together = tmp_path / f"both{ending}.safetensors"
+        assert (tmp_path / name).read_bytes() == together.read_bytes()
+
+
+@pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize("network", ["sgn", "edn"])
 def test_the_last_good_weights_are_written_where_a_loss_is_lost(
     tmp_path: Path, split: Split, cut: Samples, monkeypatch: pytest.MonkeyPatch, network: str
@@ -397,9 +408,10 @@ def test_the_whole_command_on_recorded_tracks_and_scenes(
     assert capsys.readouterr().out.startswith(f"{out}: ")
     text = (tmp_path / "w.json").read_text()
     card = json.loads(text)
-    assert card["split"]["train"] == [
-        {"site": "recorded_sample", "lines": "lanes", "recordings": ["vehicle_tracks_000.csv"]}
-    ]
+    (entry,) = card["split"]["train"]
+    assert entry["site"] == "recorded_sample" and entry["lines"] == "lanes"
+    assert entry["recordings"] == ["vehicle_tracks_000.csv"] and entry["map"] == "map.osm"
+    assert "folders are left out" in card["command_of_files"]
     assert "--split split.toml --epochs 1" in card["command"]
     assert str(tmp_path) not in text and str(site) not in text
 

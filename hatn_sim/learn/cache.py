@@ -14,16 +14,15 @@ import os
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from hatn_sim.config import Scenario
-from hatn_sim.learn.content import content_hash
+from hatn_sim.content import content_hash
+from hatn_sim.kept import library_versions, source_version
 from hatn_sim.learn.dataset import Samples
-from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.split import Traffic
 from hatn_sim.recordings.each import own_cases, own_files
 from hatn_sim.simulators.sumo_config import named_files, read_sumocfg
@@ -32,7 +31,6 @@ from hatn_sim.whole_file import write_whole
 LARGEST_BYTES: Final = 20 * 2**30
 """Of the folder: beyond that, those not used for longest go."""
 SUFFIX: Final = ".npz"
-DEPENDS_ON: Final = ("numpy", "scipy", "libsumo", "highway-env", "pyproj")
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ def key_of(traffic: Traffic) -> str:
         "duration_s": traffic.duration_s,
         "files": [content_hash(path) for path in _files_of(scenario) if path.is_file()],
         "source": source_version(),
-        "versions": {name: _version(name) for name in DEPENDS_ON},
+        "versions": library_versions(),
     }
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
 
@@ -133,13 +131,6 @@ def _files_of(scenario: Scenario) -> Iterator[Path]:
         yield from (path for path in (config, *beside) if path not in written)
         yield from named_files(config)
         yield from scenario.driver_paths
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def _without_folders(value: Any) -> Any:
