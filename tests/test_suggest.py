@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from conftest import crossing_lanes, scene_of
 
+from hatn_sim.assist.choice import Told
 from hatn_sim.assist.outlook import in_the_way, look_ahead
-from hatn_sim.assist.suggest import SuggestionState, Told, suggest
+from hatn_sim.assist.suggest import SuggestionState, suggest
 from hatn_sim.assist.words import names
 from hatn_sim.datatypes import Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
