@@ -20,6 +20,7 @@ from hatn_sim.assist.outlook import (
     approaches,
     in_the_way,
     pass_margins_s,
+    travel_at,
 )
 from hatn_sim.assist.profile import (
     COMFORT_BRAKING_MPS2,
@@ -45,6 +46,8 @@ KEEP_MARGIN_S: Final = 0.0
 """... and stays advised while it is out before, or could still be given up."""
 WAIT_KNOT: Final = 2
 """Whoever can still stop in comfort after so many knots of a pass need not give it up yet."""
+REACTION_S: Final = 1.0
+"""A driver told to yield begins to brake after so long (METHOD section 7)."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
 ROUNDING_S: Final = 1e-6
@@ -150,6 +153,7 @@ class Options:
     let_go: IntArray  # [R] how many go first then
     stays_out: BoolArray  # [R] on a yield, if need be by braking hard
     can_wait: BoolArray  # [R] a pass can still be given up for a while, in comfort
+    braking_mps2: FloatArray  # [R] of the yield; evenly, after reacting, where none was told yet
     margin_s: FloatArray  # [R] of the pass, at the earliest plausible entry of anybody
     likely_margin_s: FloatArray  # [R] of the pass, at the predicted one
 
@@ -162,6 +166,8 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     room_m = np.where(group, outlook.room_m[row], np.inf).min(axis=1)
     speed = outlook.scene.speed_mps[graphs.ego[row]]
     asks = (likely.slot > 0) | likely.passed | has_begun | ~_stops(speed, room_m)
+    driven_m, then_mps = _after_reacting(outlook, graphs.ego[row])
+    asks |= (likely.told < 0) & ~_stops(then_mps, room_m - driven_m)
     passing = np.flatnonzero(asks)
     # Whoever it is passed before, the ego drives as fast as it may.
     which = np.concatenate((np.arange(count), passing))
@@ -178,6 +184,12 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     left_m = room_m[passing] - passes.travelled_m[:, WAIT_KNOT]
     can_wait = ~asks
     can_wait[passing] = _stops(passes.speed_mps[:, WAIT_KNOT], left_m)
+    late_mps2 = _even_braking_mps2(
+        then_mps[:, None], approach.area_m[:count] - driven_m[:, None], approach.open_s[:count]
+    )
+    braking = np.where(
+        likely.told < 0, np.maximum(yields.braking_mps2, late_mps2), yields.braking_mps2
+    )
     of_pass = np.arange(count)
     of_pass[passing] = np.arange(count, len(which))
     return Options(
@@ -187,9 +199,26 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
         let_go=ahead.sum(axis=1),
         stays_out=(enters_s >= np.minimum(opens, HORIZON_S) - 0.1).all(axis=1) & ~has_begun,
         can_wait=can_wait,
+        braking_mps2=braking,
         margin_s=margin,
         likely_margin_s=likely_margin,
     )
+
+
+def _after_reacting(outlook: Outlook, vehicle: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Way and speed [R] of vehicles as predicted, when their drivers have reacted."""
+    way_m, speed_mps = travel_at(outlook.travelled_m[vehicle], np.array([REACTION_S]))
+    return way_m[:, 0], speed_mps[:, 0]
+
+
+def _even_braking_mps2(speed_mps: FloatArray, room_m: FloatArray, open_s: FloatArray) -> FloatArray:
+    """[R] evenly, after reacting, so as to reach areas [R, K] as they open, or to stop before."""
+    left_s = np.maximum(open_s - REACTION_S, 1e-3)
+    even = np.maximum(2.0 * (speed_mps * left_s - room_m) / left_s**2, 0.0)
+    stopping = speed_mps**2 / (2.0 * np.maximum(room_m - 0.5 * SHORT_M, 0.05))
+    needed = np.where(even * left_s > speed_mps, stopping, even)
+    closed = np.isfinite(room_m) & (open_s > REACTION_S)
+    return np.asarray(np.where(closed, needed, 0.0).max(axis=1))
 
 
 def _stops(speed_mps: FloatArray, room_m: FloatArray) -> BoolArray:
@@ -229,8 +258,7 @@ def choose(
     safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
     safe |= likely.passed & options.can_wait
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
-    braking = options.driven.braking_mps2[: len(row)]
-    gentle = options.stays_out & (braking <= COMFORT_BRAKING_MPS2 * band)
+    gentle = options.stays_out & (options.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
     may_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
     wants_pass = likely.slot > 0
@@ -255,5 +283,7 @@ def choose(
         ]
     )
     waits |= contradicts & (goes | safe)
+    # A yield that asks for too much is not begun where the ego is likely to be gone in time.
+    waits |= (told < 0) & ~goes & ~gentle & (options.likely_margin_s > 0.0)
     speaks = (likely.speaks | holds) & ~waits
     return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
