@@ -125,7 +125,7 @@ def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
 
 @pytest.mark.parametrize("frames", [1, 5, 6])
 def test_a_safe_pass_is_taken_back_by_silence_after_half_a_second_of_doubt(frames: int) -> None:
-    told = SuggestionState({"ego": Told("other", "pass", True)})
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
     _, found = advise(OPEN, [0.9, 0.1], told, frames)
     assert found.action == ("abstain" if frames == 6 else "pass")
 
@@ -142,19 +142,22 @@ def test_a_yield_is_never_followed_by_a_pass_before_the_same_vehicle() -> None:
 
 
 def test_advice_stands_while_another_slot_is_a_little_better() -> None:
-    told = SuggestionState({"ego": Told("other", "pass", True)})
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
     assert advise(OPEN, [0.65, 0.35], told, 20)[1].action == "pass"
     assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "abstain"
 
 
 def test_an_unsafe_pass_is_taken_back_at_once() -> None:
-    told = SuggestionState({"ego": Told("other", "pass", True)})
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
     assert advise(NEAR, [0.1, 0.9], told)[1].action == "yield"
 
 
 @pytest.mark.parametrize(("margin", "expected"), [(0.35, "abstain"), (0.45, "yield")])
 def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> None:
-    for before in (SuggestionState(), SuggestionState({"ego": Told("ego", "abstain", True)})):
+    for before in (
+        SuggestionState(),
+        SuggestionState({"ego": Told("ego", "other", "abstain", True)}),
+    ):
         chance = [0.5 + margin / 2, 0.5 - margin / 2]
         assert advise(TWO, chance, before)[1].action == expected
 

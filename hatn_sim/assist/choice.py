@@ -59,6 +59,7 @@ class Told:
     """What an ego was told last."""
 
     slot_id: str  # the rear vehicle of the slot: the ego itself for a yield
+    other_id: str  # whom to pass before, or to let go first
     action: str
     feasible: bool
     doubted_s: float | None = None  # since when another slot would have been advised
@@ -106,6 +107,7 @@ class Likely:
     chances: _Chances
     first: IntArray  # [R] the node of whoever is most probably the first of the others
     told: IntArray  # [R] the slot told before, -1: none, or it is gone
+    still_there: BoolArray  # [R] whom it was about
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
     passed: BoolArray  # [R] was told to pass in this encounter
@@ -127,6 +129,8 @@ def likely_slots(
         for told in before
     ]
     same = focus & (graphs.rear[row] == np.array(rear)[:, None])
+    about = [-2 if told is None else index.get(told.other_id, -2) for told in before]
+    still_there = (focus & (graphs.rear[row] == np.array(about)[:, None])).any(axis=1)
     first = first_of_others(focus, slot_probability[row])
     told = np.where(same.any(axis=1), same.argmax(axis=1), -1)
     stands = (told >= 0) & (chances.margin(np.maximum(told, 0)) > SILENT_MARGIN)
@@ -137,7 +141,7 @@ def likely_slots(
     passed = np.array(
         [one is not None and any(action == "pass" for action, _ in one.said) for one in before]
     )
-    return Likely(chances, first, told, slot, speaks, passed | (told > 0))
+    return Likely(chances, first, told, still_there, slot, speaks, passed | (told > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +270,9 @@ def choose(
     slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
     waits = wants_pass & (told < 0) & ~may_pass & options.can_wait
-    holds = (told >= 0) & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
+    holds = (
+        (told >= 0) & likely.still_there & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
+    )
     holds &= np.where(told > 0, may_pass, options.stays_out)
     slot = np.where(holds, told, slot)
     doubted = tuple(

@@ -90,6 +90,7 @@ def suggest(
     told = recent | {
         one.ego_id: Told(
             scene.ids[graphs.rear[e, m]],
+            one.slot_id or "",
             one.action,
             one.feasible,
             doubted_s,
