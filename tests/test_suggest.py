@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import crossing_lanes, scene_of
+from conftest import crossing_lanes, lane, scene_of
 
 from hatn_sim.assist.choice import Told
+from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.assist.outlook import in_the_way, look_ahead
 from hatn_sim.assist.suggest import SuggestionState, suggest
 from hatn_sim.assist.words import names
@@ -26,13 +27,19 @@ def moment(
     vehicles: dict[str, tuple[float, float, float, float]], chances: dict[str, list[float]]
 ) -> tuple[Scene, Prediction]:
     """A scene at the hand-drawn crossing, predicted at constant velocity, with given slots."""
-    state = begin(ROAD)
+    return moment_of(ROAD, scene_of(0.0, vehicles), chances)
+
+
+def moment_of(
+    road: Road, scene: Scene, chances: dict[str, list[float]] | None = None
+) -> tuple[Scene, Prediction]:
+    state = begin(road)
     for frame in range(3):
-        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
-    scene, graphs = state.seen.scene, build_graphs(ROAD, state.seen)
+        state = perceive(state, replace(scene, time_s=0.1 * frame), None)
+    scene, graphs = state.seen.scene, build_graphs(road, state.seen)
     probability = np.zeros(graphs.node_mask.shape)
     for e, ego in enumerate(graphs.ego.tolist()):
-        given = chances.get(scene.ids[ego], [1.0])
+        given = (chances or {}).get(scene.ids[ego], [1.0])
         probability[e, : len(given)] = given
     count = len(scene.ids)
     return scene, Prediction(
@@ -180,6 +187,42 @@ def test_whoever_has_its_nose_inside_is_not_asked_to_stop_there() -> None:
     _, told = advise(vehicles, [0.95, 0.05])
     # It is out after 5.5 m, and the other comes in after 8.5 m.
     assert told.action == "pass" and min(told.profile_mps) > 7.9
+
+
+@pytest.mark.parametrize("length_m", [5.0, 9.0])
+def test_room_is_kept_for_a_body_that_cuts_its_corner(length_m: float) -> None:
+    southbound = lane("ns", [(-4, 60), (-4, -60)], is_connection=True)
+    road = Road([one for one in crossing_lanes() if one.id != "we"] + [southbound])
+    at = {"ego": (-4.0, 25.0, -NORTH, 5.0), "truck": (-16.0, 0.0, 0.0, 4.0)}
+    scene = scene_of(0.0, at, blinker=1)
+    scene.size_m[1, 0] = length_m
+    scene, prediction = moment_of(road, scene)
+    outlook = look_ahead(road, scene, prediction)
+    row = int(np.flatnonzero(outlook.graphs.ego == 0)[0])
+    node = int(outlook.graphs.node_mask[row].nonzero()[0][-1])
+    # Its bumpers follow the line, west to north in a quarter circle of 8 m: the body is a chord.
+    turn = np.linspace(0.0, np.pi / 2, 400)
+    way = np.array(
+        [(-30.0, 0.0), *zip(-8.0 + 8.0 * np.sin(turn), 8.0 - 8.0 * np.cos(turn), strict=True)]
+    )
+    way = np.concatenate((way, [(0.0, 30.0)]))
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))))
+    front_s = np.linspace(12.0, 60.0, 500)
+    front, rear = (
+        np.stack([np.interp(s, along, way[:, k]) for k in (0, 1)], axis=1)
+        for s in (front_s, front_s - length_m)
+    )
+    heading = np.arctan2(*(front - rear).T[::-1])
+    swept = Boxes(0.5 * (front + rear), heading, np.tile([length_m, 2.0], (500, 1)))
+
+    def touches(y_m: float) -> bool:
+        here = Boxes(
+            np.tile([-4.0, y_m], (500, 1)), np.full(500, -NORTH), np.tile([5.0, 2.0], (500, 1))
+        )
+        return bool(overlap(swept, here).any())
+
+    room_m = next(25.0 - y for y in np.arange(25.0, 0.0, -0.05) if touches(float(y)))
+    assert room_m - 1.0 < outlook.room_m[row, node] < room_m + 0.1
 
 
 @pytest.mark.parametrize(

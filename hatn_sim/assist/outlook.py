@@ -122,7 +122,8 @@ def _cut_m(
     """How much longer areas [Q, 2] are, at their near and at their far end, as the other turns.
 
     A body of length l is a chord of its way: in a bend it is up to l^2 k / 8 inside of the line,
-    where k is the curvature, which leaves more or less room to whoever comes from that side.
+    where k is the curvature. Areas are those of straight strips: that the strip bends takes about
+    as much again, from whoever comes from that side.
     """
     length = scene.size_m[index, 0]
     yaw = np.stack(
@@ -134,7 +135,7 @@ def _cut_m(
     )
     turned = wrap_angle(yaw[..., 2:] - yaw[..., :-2])  # each while one length is driven
     sharpest = np.abs(turned).argmax(axis=-1)[..., None]
-    inside = 0.125 * length * np.take_along_axis(turned, sharpest, axis=-1)[..., 0]  # left positive
+    inside = 0.25 * length * np.take_along_axis(turned, sharpest, axis=-1)[..., 0]  # left positive
     apart = wrap_angle(yaw[:, 1, 2] - yaw[:, 0, 2])
     slant = np.maximum(np.abs(np.sin(apart)), np.sin(LEAST_ANGLE_RAD))
     # The first comes from the left of the second where it heads to the right of it.
