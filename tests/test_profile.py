@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hatn_sim.assist.outlook import travel_at
 from hatn_sim.assist.profile import (
     AREA,
     COMFORT_ACCELERATION_MPS2,
@@ -150,3 +151,13 @@ def test_nobody_enters_before_the_area_opens(speed: float, spare: float, open_s:
     found = drive(approach(speed, area_m=np.array([[room]]), open_s=np.array([[open_s]])))
     assert (found.travelled_m[0, open_s > KNOT_AT_S] <= room + 0.25).all()
     assert found.braking_mps2[0] <= COMFORT_BRAKING_MPS2 + 0.2
+
+
+def test_beyond_the_horizon_vehicles_go_on_or_slow_down_to_a_stand() -> None:
+    # 6 and 1.5 m/s for 3 s; slowing at 1.5 m/s^2 they stop after 4 and 1 s, 12 and 0.75 m.
+    path = np.arange(1, 31) * np.array([[0.6], [0.15]])
+    way, speed = travel_at(path, np.array([1.05, 5.0]))
+    np.testing.assert_allclose(way, [[6.3, 30.0], [1.575, 7.5]])
+    way, speed = travel_at(path, np.array([1.05, 5.0]), 1.5)
+    np.testing.assert_allclose(way, [[6.3, 18.0 + 12.0 - 3.0], [1.575, 4.5 + 0.75]])
+    np.testing.assert_allclose(speed, [[6.0, 3.0], [1.5, 0.0]], atol=1e-9)

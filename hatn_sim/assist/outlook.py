@@ -302,7 +302,8 @@ def _leaders(
     """
     graphs, scene = outlook.graphs, outlook.scene
     ego, leader = graphs.ego[row], graphs.leader[row]
-    travel, speed = travel_at(outlook.travelled_m, time_s)
+    # Nobody knows what they do beyond the horizon: the ego is to manage if they slow down.
+    travel, speed = travel_at(outlook.travelled_m, time_s, SLOWING_MPS2)
     there = (leader >= 0)[:, None]
     ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
     ahead_mps = np.where(there, speed[leader], 0.0)
@@ -325,14 +326,26 @@ def _leaders(
     return np.where(nearer, nearest_m, ahead), np.where(nearer, nearest_mps, ahead_mps)
 
 
-def travel_at(travelled_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Path length [N, G] and speed [N, G] at times [G], from frames [N, F]; at the last speed
-    beyond them."""
+def travel_at(
+    travelled_m: FloatArray, time_s: FloatArray, slowing_mps2: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Path length [N, G] and speed [N, G] at times [G], from frames [N, F].
+
+    Beyond them at the last speed, or slowing down evenly from it.
+    """
     path = np.concatenate((np.zeros((len(travelled_m), 1)), travelled_m), axis=1)
     step = np.diff(path, axis=1)
     frame = time_s / DT_S
     low = np.minimum((frame + 1e-9).astype(np.int64), HORIZON_FRAMES - 1)
-    return path[:, low] + (frame - low) * step[:, low], step[:, low] / DT_S
+    way, speed = path[:, low] + (frame - low) * step[:, low], step[:, low] / DT_S
+    if slowing_mps2:
+        beyond_s = np.maximum(time_s - DT_S * HORIZON_FRAMES, 0.0)
+        lost_mps = np.minimum(slowing_mps2 * beyond_s, speed)
+        # Whoever has come to a stand has driven v^2 / 2b, not v t - b t^2 / 2.
+        driving_s = lost_mps / slowing_mps2
+        way = way - speed * (beyond_s - driving_s) - 0.5 * slowing_mps2 * driving_s**2
+        speed = speed - lost_mps
+    return way, speed
 
 
 def pass_margins_s(
