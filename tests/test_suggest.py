@@ -159,6 +159,20 @@ def test_an_unsafe_pass_is_taken_back_at_once() -> None:
     assert advise(NEAR, [0.1, 0.9], told)[1].action == "yield"
 
 
+@pytest.mark.parametrize(("speed_mps", "expected"), [(0.0, "abstain"), (1.0, "yield")])
+def test_nothing_is_said_to_two_who_wait_for_each_other(speed_mps: float, expected: str) -> None:
+    # Either stands a metre before the area, and may be 4 m farther in 3 s.
+    waiting = {"ego": (0.0, -4.5, NORTH, 0.0), "other": (-4.5, 0.0, 0.0, speed_mps)}
+    scene, prediction = moment(waiting, {"ego": [0.02, 0.98]})
+    one = np.ones((len(scene.ids), 1))
+    prediction = replace(prediction, goal_weight=one, goal_mean_m=4.0 * one, goal_std_m=0.1 * one)
+    state = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    for frame in range(10):
+        now = replace(scene, time_s=0.1 * frame)
+        state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+    assert found.action == expected
+
+
 @pytest.mark.parametrize(("margin", "expected"), [(0.35, "abstain"), (0.45, "yield")])
 def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> None:
     for before in (

@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.outlook import (
-    NOSE_M,
     Outlook,
     approaches,
     in_the_way,
@@ -50,6 +49,9 @@ REACTION_S: Final = 1.0
 """A driver told to yield begins to brake after so long (METHOD section 7)."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
+EDGE_M: Final = 0.1
+"""Whose nose gets no farther than this into an area stays out of it."""
+STANDING_MPS: Final = 0.3
 ROUNDING_S: Final = 1e-6
 HORIZON_S: Final = float(KNOT_AT_S[-1])
 
@@ -182,7 +184,7 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     area_m, opens = (of[:count, : group.shape[1]] for of in (approach.area_m, approach.open_s))
     # At the focus: what is further on can be seen to when this is behind.
     ahead = group & np.isfinite(area_m)
-    enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + NOSE_M, np.inf))
+    enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + EDGE_M, np.inf))
     margin, likely_margin = np.full((2, count), -np.inf)
     margin[passing], likely_margin[passing] = pass_margins_s(outlook, row[passing], passes)
     left_m = room_m[passing] - passes.travelled_m[:, WAIT_KNOT]
@@ -289,6 +291,10 @@ def choose(
         ]
     )
     waits |= contradicts & (goes | safe)
+    # Of two who wait for each other, nobody can tell who will go.
+    speed = outlook.scene.speed_mps
+    stuck = np.maximum(speed[outlook.graphs.ego[row]], speed[other]) < STANDING_MPS
+    waits |= stuck & wants_pass & ~goes
     # A yield that asks for too much is not begun where the ego is likely to be gone in time.
     waits |= (told < 0) & ~goes & ~gentle & (options.likely_margin_s > 0.0)
     speaks = (likely.speaks | holds) & ~waits

@@ -14,6 +14,7 @@ import numpy as np
 
 from hatn_sim.assist.choice import (
     ROUNDING_S,
+    STANDING_MPS,
     Chosen,
     Likely,
     Options,
@@ -41,7 +42,6 @@ from hatn_sim.road import Road
 PAUSE_S: Final = 1.0
 """Who has no choice for longer than this has another encounter then."""
 AT_LINE_M: Final = 3.0
-STANDING_MPS: Final = 0.3
 
 
 @dataclass(frozen=True)
