@@ -43,10 +43,13 @@ PASS_MARGIN_S: Final = 0.3
 """A pass is advised where the ego is out so long before anybody may plausibly come in ..."""
 KEEP_MARGIN_S: Final = 0.0
 """... and stays advised while it is out before, or could still be given up."""
-WAIT_KNOT: Final = 2
-"""Whoever can still stop in comfort after so many knots of a pass need not give it up yet."""
+SURE: Final = 0.95
+"""A pass as probable as this stays advised where it is safe as predicted, plausible or not."""
+WAIT_KNOT: Final = 4
+"""Whoever can still stop in comfort after so many knots of a pass, a second, need not give it up
+yet."""
 REACTION_S: Final = 1.0
-"""A driver told to yield begins to brake after so long (METHOD section 7)."""
+"""A driver who is told to yield begins to brake after so long (METHOD section 7)."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
 EDGE_M: Final = 0.1
@@ -159,7 +162,7 @@ class Options:
     let_go: IntArray  # [R] how many go first then
     stays_out: BoolArray  # [R] on a yield, if need be by braking hard
     can_wait: BoolArray  # [R] a pass can still be given up for a while, in comfort
-    braking_mps2: FloatArray  # [R] of the yield; evenly, after reacting, where none was told yet
+    braking_mps2: FloatArray  # [R] of the yield; evenly, after reacting, where it would be new
     margin_s: FloatArray  # [R] of the pass, at the earliest plausible entry of anybody
     likely_margin_s: FloatArray  # [R] of the pass, at the predicted one
 
@@ -173,7 +176,7 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     speed = outlook.scene.speed_mps[graphs.ego[row]]
     asks = (likely.slot > 0) | likely.passed | has_begun | ~_stops(speed, room_m)
     driven_m, then_mps = _after_reacting(outlook, graphs.ego[row])
-    asks |= (likely.told < 0) & ~_stops(then_mps, room_m - driven_m)
+    asks |= (likely.told != 0) & ~_stops(then_mps, room_m - driven_m)
     passing = np.flatnonzero(asks)
     # Whoever it is passed before, the ego drives as fast as it may.
     which = np.concatenate((np.arange(count), passing))
@@ -193,9 +196,7 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     late_mps2 = _even_braking_mps2(
         then_mps[:, None], approach.area_m[:count] - driven_m[:, None], approach.open_s[:count]
     )
-    braking = np.where(
-        likely.told < 0, np.maximum(yields.braking_mps2, late_mps2), yields.braking_mps2
-    )
+    late_mps2[likely.told == 0] = 0.0
     of_pass = np.arange(count)
     of_pass[passing] = np.arange(count, len(which))
     return Options(
@@ -205,7 +206,7 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
         let_go=ahead.sum(axis=1),
         stays_out=(enters_s >= np.minimum(opens, HORIZON_S) - 0.1).all(axis=1) & ~has_begun,
         can_wait=can_wait,
-        braking_mps2=braking,
+        braking_mps2=np.maximum(yields.braking_mps2, late_mps2),
         margin_s=margin,
         likely_margin_s=likely_margin,
     )
@@ -262,7 +263,8 @@ def choose(
     since_s = np.array([now_s if one is None else one for one in since])
     told = likely.told
     safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
-    safe |= likely.passed & options.can_wait
+    sure = likely.chances.of[np.arange(len(row)), likely.slot] >= SURE
+    safe |= likely.passed & (options.can_wait | sure & (options.likely_margin_s >= PASS_MARGIN_S))
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     gentle = options.stays_out & (options.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.

@@ -56,9 +56,9 @@ class Rule:
     short_m: float
 
 
-AREA: Final = Rule(2.4, 0.9, SHORT_M)
+AREA: Final = Rule(2.4, 0.4, SHORT_M)
 LEADER: Final = Rule(2.4, 0.9, 2.0)
-LINE: Final = Rule(SLOWING_MPS2, 0.9, 0.5)
+LINE: Final = Rule(SLOWING_MPS2, 0.4, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,10 @@ def _keep_out(
     room = places.room_m - travelled
     room[-1] = approach.leader_m[:, knot] - travelled
     leader_square = approach.leader_mps[:, knot] ** 2
-    square = slack**2 + 2.0 * braking * (room - places.short_m)
+    ahead = room - places.short_m
+    # What stands still is reckoned with from where the vehicle will be: or it stops too late.
+    ahead[:-1] -= EASE_S * speed
+    square = slack**2 + 2.0 * braking * ahead
     square[-1] += leader_square
     safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - slack, 0.0)
     stops_m = 2.0 * np.maximum(room - 0.5 * places.short_m, 0.25)
