@@ -44,7 +44,10 @@ PASS_MARGIN_S: Final = 0.3
 KEEP_MARGIN_S: Final = 0.0
 """... and stays advised while it is out before, or could still be given up."""
 SURE: Final = 0.95
-"""A pass as probable as this stays advised where it is safe as predicted, plausible or not."""
+SURE_MARGIN_S: Final = 1.0
+"""A pass as probable as this is advised where the predicted entries leave so much time ..."""
+SURE_KEEP_S: Final = 0.3
+"""... and stays advised while they leave this, whoever might plausibly come sooner."""
 WAIT_KNOT: Final = 4
 """Whoever can still stop in comfort after so many knots of a pass, a second, need not give it up
 yet."""
@@ -263,8 +266,14 @@ def choose(
     since_s = np.array([now_s if one is None else one for one in since])
     told = likely.told
     safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
-    sure = likely.chances.of[np.arange(len(row)), likely.slot] >= SURE
-    safe |= likely.passed & (options.can_wait | sure & (options.likely_margin_s >= PASS_MARGIN_S))
+    # Of two who wait for each other, nobody can tell who will go.
+    graphs, speed = outlook.graphs, outlook.scene.speed_mps
+    fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
+    stuck = fastest < STANDING_MPS
+    sure = ~stuck & (likely.chances.of[np.arange(len(row)), likely.slot] >= SURE)
+    safe |= likely.passed & options.can_wait
+    sure_margin_s = np.where(likely.passed, SURE_KEEP_S, SURE_MARGIN_S)
+    safe |= sure & (options.likely_margin_s >= sure_margin_s)
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     gentle = options.stays_out & (options.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
@@ -283,7 +292,7 @@ def choose(
         one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
     )
     goes = slot > 0
-    other = outlook.graphs.rear[row, np.where(goes, slot, likely.first)]
+    other = graphs.rear[row, np.where(goes, slot, likely.first)]
     opposite = ["yield" if one else "pass" for one in goes.tolist()]
     names_of = [outlook.scene.ids[v] for v in other.tolist()]
     contradicts = np.array(
@@ -293,11 +302,10 @@ def choose(
         ]
     )
     waits |= contradicts & (goes | safe)
-    # Of two who wait for each other, nobody can tell who will go.
-    speed = outlook.scene.speed_mps
-    stuck = np.maximum(speed[outlook.graphs.ego[row]], speed[other]) < STANDING_MPS
     waits |= stuck & wants_pass & ~goes
-    # A yield that asks for too much is not begun where the ego is likely to be gone in time.
+    # A yield is not begun against what is surely going to happen ...
+    waits |= (told < 0) & wants_pass & sure & ~goes & (options.likely_margin_s > 0.0)
+    # ... nor one that asks for too much where the ego is likely to be gone in time.
     waits |= (told < 0) & ~goes & ~gentle & (options.likely_margin_s > 0.0)
     speaks = (likely.speaks | holds) & ~waits
     return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
