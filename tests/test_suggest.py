@@ -173,6 +173,30 @@ def test_nothing_is_said_to_two_who_wait_for_each_other(speed_mps: float, expect
     assert found.action == expected
 
 
+@pytest.mark.parametrize(("chance", "passes"), [(0.9, False), (0.98, True)])
+def test_only_a_sure_pass_is_advised_where_somebody_might_plausibly_hurry(
+    chance: float, passes: bool
+) -> None:
+    # The ego is out after 33.5 m, 3 s. The other comes after 21.5 m at 3 m/s, 7 s; one in five
+    # times it is 24 m farther in 3 s, and comes before that.
+    hurry = {"ego": (0.0, -30.0, NORTH, 10.0), "other": (-25.0, 0.0, 0.0, 3.0)}
+    scene, prediction = moment(hurry, {"ego": [1.0 - chance, chance]})
+    goals = np.tile([[0.8, 0.2]], (2, 1)), np.tile([[9.0, 24.0]], (2, 1)), np.full((2, 2), 0.1)
+    weight, mean, std = goals
+    prediction = replace(prediction, goal_weight=weight, goal_mean_m=mean, goal_std_m=std)
+    _, (found,) = suggest(SuggestionState(), ROAD, scene, prediction, frozenset({"ego"}))
+    assert (found.action == "pass") == passes
+
+
+def test_a_yield_that_comes_too_late_for_a_driver_to_react_is_not_begun() -> None:
+    # 10 m/s, 16 m to the area: 3.1 m/s^2 to stop from now, 8 after a second of reacting. The
+    # other comes in after 35 m, 4.4 s, when the ego is out.
+    late = {"ego": (0.0, -19.5, NORTH, 10.0), "other": (-38.5, 0.0, 0.0, 8.0)}
+    assert advise(late, [0.9, 0.1])[1].action == "abstain"
+    told = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    assert advise(late, [0.9, 0.1], told)[1].action == "yield"
+
+
 @pytest.mark.parametrize(("margin", "expected"), [(0.35, "abstain"), (0.45, "yield")])
 def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> None:
     for before in (
