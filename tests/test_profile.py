@@ -155,7 +155,7 @@ def test_nobody_enters_before_the_area_opens(speed: float, spare: float, open_s:
 
 def test_beyond_the_horizon_vehicles_go_on_or_slow_down_to_a_stand() -> None:
     # 6 and 1.5 m/s for 3 s; slowing at 1.5 m/s^2 they stop after 4 and 1 s, 12 and 0.75 m.
-    path = np.arange(1, 31) * np.array([[0.6], [0.15]])
+    path = np.arange(1.0, 31.0) * np.array([[0.6], [0.15]])
     way, speed = travel_at(path, np.array([1.05, 5.0]))
     np.testing.assert_allclose(way, [[6.3, 30.0], [1.575, 7.5]])
     way, speed = travel_at(path, np.array([1.05, 5.0]), 1.5)

@@ -167,9 +167,11 @@ def test_nothing_is_said_to_two_who_wait_for_each_other(speed_mps: float, expect
     one = np.ones((len(scene.ids), 1))
     prediction = replace(prediction, goal_weight=one, goal_mean_m=4.0 * one, goal_std_m=0.1 * one)
     state = SuggestionState({"ego": Told("ego", "other", "yield", True)})
-    for frame in range(10):
+    for frame in range(9):
         now = replace(scene, time_s=0.1 * frame)
-        state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+        state, _ = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+    now = replace(scene, time_s=0.9)
+    _, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
     assert found.action == expected
 
 
