@@ -53,6 +53,7 @@ SETTINGS_FILE: Final = "assist.toml"
 CURVES_FILE: Final = "curves.csv"
 FIGURES: Final = ("curves.png", "curves.pdf")
 OURS: Final = "hatn"
+NO_EVENTS: Final = "no collision and no evasive braking in these runs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -282,8 +283,7 @@ def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun])
     write_curves(out / CURVES_FILE, curves)
     draw_curves(curves, [out / name for name in FIGURES])
     if not arguments.quiet and not any(s.n for s in scores if s.measure == "event_recall"):
-        said = "no collision and no evasive braking in these runs: recall has no value"
-        print(f"hatn-sim: {said}", file=sys.stderr)
+        print(f"hatn-sim: {NO_EVENTS}: recall has no value", file=sys.stderr)
     if arguments.json:
         print(scores_json(scores))
         return 0
@@ -301,6 +301,10 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
         raise InputError(f"--rules: --calibrate is of {OURS}; add it")
     settings = _settings(arguments)
     curve = sweep(runs, OURS, thresholds_of(runs, OURS), settings)
+    if all(math.isnan(one.event_recall) for one in curve):
+        raise HatnSimError(
+            f"{NO_EVENTS}: there is no recall to calibrate for; add seeds, or --risk inattentive"
+        )
     best = best_within(curve, arguments.false_alarms)
     if best is None:
         raise HatnSimError(

@@ -35,6 +35,7 @@ WHAT_IF: Final = {
     "regret": "regret",
     "always_yield_regret": "always yield",
     "driver_regret": "driver",
+    "lost_branches": "lost",
 }
 NONE: Final = "-"
 
