@@ -188,6 +188,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import InputError, nearest
     from hatn_sim.evaluation.assessing import AssessPlan
+    from hatn_sim.evaluation.made_by import made_by
 
     rules: tuple[str, ...] = arguments.rules or tuple(RULES)
     for name in rules:
@@ -198,6 +199,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     for scenario in _scenarios(arguments):
         warm_up_s = default_warm_up_s(scenario)
         warm_up_s = warm_up_s if arguments.warm_up is None else arguments.warm_up
+        made = made_by(scenario)
         profile = "" if scenario.risk is None else f", {scenario.risk}"
         for seed in for_seeds:
             label = f"{scenario.name}{profile}, seed {seed}"
@@ -224,6 +226,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                     "counterfactuals": arguments.counterfactuals,
                     "weights": _sha256(arguments.weights),
                     "versions": installed(),
+                    **made,
                 },
             )
 
@@ -296,6 +299,7 @@ def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun])
 def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun]) -> int:
     from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.score.sweep import best_within, sweep, thresholds_of
+    from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
     if OURS not in runs[0].traces:
         raise InputError(f"--rules: --calibrate is of {OURS}; add it")
@@ -317,7 +321,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     found = replace(settings, alert_onset_mps2=onset, alert_end_mps2=round(release * onset, 3))
     path = out / SETTINGS_FILE
     lines = [f"{field.name} = {getattr(found, field.name)}" for field in fields(found)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    save_whole(path, "\n".join(lines) + "\n", ROOM_OR_OUT)
     print(
         f"alerts from {onset:g} m/s2 on: {best.false_alarms_per_hour:.2f} false alarms per "
         f"vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "
