@@ -56,12 +56,12 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    parser = _make_parser(words)
-    parsed = parser.parse_args(words)
-    if parsed.verb is None:
-        parser.print_help()
-        return 0
     try:
+        parser = _make_parser(words)
+        parsed = parser.parse_args(words)
+        if parsed.verb is None:
+            parser.print_help()
+            return 0
         code: int = import_module(f"hatn_sim.commands.{parsed.verb}").main(parsed)
         sys.stdout.flush()
         return code

@@ -34,7 +34,10 @@ ONLY_IN = {
 """Package -> the modules, or packages of modules, that may import it."""
 
 LAYERS = (
-    ("", "datatypes", "errors", "geometry", "plugins", "resources", "safe_xml", "whole_file"),
+    (
+        *("", "content", "datatypes", "errors", "geometry", "kept", "plugins", "resources"),
+        *("safe_xml", "whole_file"),
+    ),
     ("config", "conflict_table", "conflicts", "lane_graph", "lane_index", "road", "simulators"),
     (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),

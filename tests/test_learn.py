@@ -193,6 +193,17 @@ def test_both_forms_and_the_one_that_is_there_already_is_kept(tmp_path: Path, sp
 
 
 @pytest.mark.usefixtures("few_samples")
+def test_a_form_is_trained_alike_alone_and_beside_another(tmp_path: Path, split: Split) -> None:
+    forms = {"hatn": SMALL, "paper": SMALL}
+    train(TrainingPlan(split, forms, seed=3), tmp_path / "both.safetensors")
+    for form, ending in (("hatn", ""), ("paper", "-paper")):
+        name = f"alone{ending}.safetensors"
+        train(TrainingPlan(split, {form: SMALL}, seed=3), tmp_path / "alone.safetensors")
+        together = tmp_path / f"both{ending}.safetensors"
+        assert (tmp_path / name).read_bytes() == together.read_bytes()
+
+
+@pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize("network", ["sgn", "edn"])
 def test_the_last_good_weights_are_written_where_a_loss_is_lost(
     tmp_path: Path, split: Split, cut: Samples, monkeypatch: pytest.MonkeyPatch, network: str

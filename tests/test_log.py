@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -295,6 +298,61 @@ def test_a_run_that_fails_keeps_all_its_frames(tmp_path: Path) -> None:
     run = read_run(tmp_path / "run")
     assert not run.finished and run.frame_count == 12
     assert [scene.ids for scene in run.scenes()] == [frame.scene.ids for frame, _ in written]
+
+
+def interrupting(at: int) -> tuple[Callable[..., Any], list[int]]:
+    """A tracer that interrupts at a line of this package's log, and how many lines it has seen."""
+    seen = [0]
+
+    def trace(frame: FrameType, event: str, _: Any) -> Any:
+        if not frame.f_code.co_filename.endswith(
+            ("log/writer.py", "log/parts.py", "whole_file.py")
+        ):
+            return None
+        if event == "line":
+            seen[0] += 1
+            if seen[0] == at:
+                raise KeyboardInterrupt
+        return trace
+
+    return trace, seen
+
+
+def test_wherever_a_run_is_interrupted_what_counts_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where it is being closed, so that nothing that was held is lost, and nothing empty
+    stays."""
+    monkeypatch.setattr("hatn_sim.log.schema.PART_FRAMES", 2)
+    written = make_run(3)
+
+    def make(out: Path, at: int) -> int:
+        trace, seen = interrupting(at)
+        before = sys.gettrace()
+        sys.settrace(trace)
+        try:
+            with RunWriter(out, HEADER) as writer:
+                for index, (frame, advice) in enumerate(written):
+                    writer.write(index, frame, advice)
+                writer.close(timing={})
+        finally:
+            sys.settrace(before)
+        return seen[0]
+
+    lines = make(tmp_path / "whole", 0)
+    assert lines > 400
+    counts: list[int] = []
+    for at in range(1, lines, 7):
+        out = tmp_path / str(at)
+        with pytest.raises(KeyboardInterrupt):
+            make(out, at)
+        run = read_run(out) if out.exists() and any(out.iterdir()) else None
+        counts.append(0 if run is None else run.frame_count)
+        if run is not None:
+            assert run.frame_count > 0 and not run.finished
+            ids = [frame.scene.ids for frame, _ in written[: run.frame_count]]
+            assert [scene.ids for scene in run.scenes()] == ids
+    assert counts == sorted(counts) and set(counts) == {0, 1, 2, 3}
 
 
 def test_a_frame_half_written_does_not_count(tmp_path: Path) -> None:

@@ -14,11 +14,11 @@ from test_whole_file import little_room
 from hatn_sim import cli
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
 from hatn_sim.evaluation.pool import Teller
+from hatn_sim.kept import folder_for
 from hatn_sim.learn import cache as cache_module
 from hatn_sim.learn import sources
 from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.dataset import Samples
-from hatn_sim.learn.kept import folder_for
 from hatn_sim.learn.sources import gather, samples_of
 from hatn_sim.learn.split import Traffic, traffic_of_runs, traffic_of_scenes, traffic_of_tracks
 from hatn_sim.learn.watch import Nobody

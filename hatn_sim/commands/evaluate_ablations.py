@@ -177,9 +177,9 @@ def _split(arguments: argparse.Namespace) -> Split:
 
 def _study(arguments: argparse.Namespace, split: Split, out: Path) -> Study:
     from hatn_sim.errors import InputError
+    from hatn_sim.kept import SAMPLES, folder_for
     from hatn_sim.learn.ablation_training import Study
     from hatn_sim.learn.cache import SampleCache
-    from hatn_sim.learn.kept import SAMPLES, folder_for
     from hatn_sim.learn.train import MAX_SEED
 
     # With "none", the processes that train still read them from a file.

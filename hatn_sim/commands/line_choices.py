@@ -23,7 +23,7 @@ ENOUGH: Final = 3
 def drawing_lines(cache: str | None, quiet: bool) -> Generator[Drawing, None, None]:
     """How lines are drawn for a command with this --cache: kept, and with progress."""
     from hatn_sim.commands.train_progress import TrainProgress
-    from hatn_sim.learn.kept import LINES, folder_for
+    from hatn_sim.kept import LINES, folder_for
     from hatn_sim.recordings.track_lines.source import Drawing
 
     with TrainProgress(quiet) as watch:
@@ -49,7 +49,7 @@ def choices_for(
     if choice_from == "weights" or (choice_from == "auto" and not _any_enough(counts.values())):
         return {}
     from hatn_sim.commands.train_progress import TrainProgress
-    from hatn_sim.learn.kept import LINES, folder_for
+    from hatn_sim.kept import LINES, folder_for
     from hatn_sim.learn.others_choice import LEAST, choices_of_others
 
     if choice_from == "tracks":

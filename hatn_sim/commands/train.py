@@ -255,8 +255,8 @@ def _split_of_scenes(arguments: argparse.Namespace) -> Split:
 
 
 def _cache(arguments: argparse.Namespace) -> SampleCache:
+    from hatn_sim.kept import SAMPLES, folder_for
     from hatn_sim.learn.cache import SampleCache
-    from hatn_sim.learn.kept import SAMPLES, folder_for
 
     return SampleCache(folder_for(SAMPLES, arguments.cache))
 

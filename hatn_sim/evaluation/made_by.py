@@ -6,8 +6,8 @@ import hashlib
 from typing import Final
 
 from hatn_sim.config import Scenario
-from hatn_sim.learn.content import content_hash
-from hatn_sim.learn.kept import source_without
+from hatn_sim.content import content_hash
+from hatn_sim.kept import source_without
 from hatn_sim.learn.scene_files import files_of
 
 NO_PART_IN_RUNS: Final = (

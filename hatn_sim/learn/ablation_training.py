@@ -23,6 +23,7 @@ from safetensors.torch import load_file, save
 from torch import nn
 
 import hatn_sim
+from hatn_sim.content import content_hash
 from hatn_sim.datatypes import BoolArray
 from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import Float32Array
@@ -30,7 +31,6 @@ from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.learn import edn_training
 from hatn_sim.learn.ablations import EdnModel, Model, SgnModel
 from hatn_sim.learn.cache import SampleCache, key_of
-from hatn_sim.learn.content import content_hash
 from hatn_sim.learn.dataset import Samples, concatenate
 from hatn_sim.learn.fit import Figures, FitSettings, Workplace, fit
 from hatn_sim.learn.sgn_training import predicted_profiles, train_sgn

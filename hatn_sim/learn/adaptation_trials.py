@@ -15,15 +15,15 @@ from typing import Any, Final, Protocol
 import numpy as np
 import torch
 
+from hatn_sim.content import content_hash
 from hatn_sim.datatypes import Frame, Simulator
 from hatn_sim.errors import HatnSimError
 from hatn_sim.hatn.adaptation_layer import LAYERS, Layer
 from hatn_sim.hatn.adaptation_memory import MAX_STEPS, Method, default_settings
 from hatn_sim.hatn.predictor import Hatn
+from hatn_sim.kept import source_version
 from hatn_sim.learn.adaptation_study import VehicleErrors, Watched, vehicle_errors, watch
 from hatn_sim.learn.cache import key_of
-from hatn_sim.learn.content import content_hash
-from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.split import Traffic
 from hatn_sim.loop import warm_up
 from hatn_sim.traffic import open_traffic

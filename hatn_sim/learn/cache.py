@@ -14,15 +14,14 @@ import os
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from hatn_sim.learn.content import content_hash
+from hatn_sim.content import content_hash
+from hatn_sim.kept import library_versions, source_version
 from hatn_sim.learn.dataset import Samples
-from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.scene_files import files_of
 from hatn_sim.learn.split import Traffic
 from hatn_sim.recordings.each import own_cases
@@ -31,7 +30,6 @@ from hatn_sim.whole_file import write_whole
 LARGEST_BYTES: Final = 20 * 2**30
 """Of the folder: beyond that, those not used for longest go."""
 SUFFIX: Final = ".npz"
-DEPENDS_ON: Final = ("numpy", "scipy", "libsumo", "highway-env", "pyproj")
 
 
 @dataclass(frozen=True)
@@ -109,16 +107,9 @@ def key_of(traffic: Traffic) -> str:
         "duration_s": traffic.duration_s,
         "files": [content_hash(path) for path in files_of(scenario)],
         "source": source_version(),
-        "versions": {name: _version(name) for name in DEPENDS_ON},
+        "versions": library_versions(),
     }
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def _without_folders(value: Any) -> Any:

@@ -57,6 +57,7 @@ class Workplace:
     seed: int = 0
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     progress: Path | None = None  # the folder of checkpoints
+    form: str = ""  # of the networks, where several are trained: in lines and names of files
     watch: Watch = field(default_factory=Nobody)
 
 
@@ -98,7 +99,8 @@ def fit(
         loss_of: of the model on rows of `learn`.
         figures: of the model on the tuning samples.
         judged_by: one of the figures, the less the better.
-        name: of the network, in lines and for the name of its checkpoint.
+        name: of the network, in lines and for the name of its checkpoint; chance hangs on it, and
+            not on the form, so that a form is trained alike alone and beside another.
         settings: how long, how fast.
         place: seed, device and checkpoints.
 
@@ -120,7 +122,8 @@ def fit(
     total = settings.epochs * math.ceil(len(learn) / settings.batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, max(total, 2))
     parts = {"model": model, "average": average, "optimiser": optimiser, "schedule": schedule}
-    state = _resume(place, name, parts)
+    called = f"{place.form} {name}".strip()
+    state = _resume(place, called, parts)
     for epoch in range(state.epoch + 1, settings.epochs + 1):
         if epoch - 1 - state.best_epoch >= settings.patience:
             break
@@ -134,7 +137,7 @@ def fit(
             value = float(loss.detach())
             if not math.isfinite(value):
                 _give_best(model, state)
-                line = _not_finite(name, value, state)
+                line = _not_finite(called, value, state)
                 raise LossError(line, model, state.best_epoch, state.best)
             optimiser.zero_grad()
             loss.backward()
@@ -143,24 +146,26 @@ def fit(
             schedule.step()
             average.update_parameters(model)
             loss_sum += value * len(rows)
-            place.watch.step(name, state.step, total, f"epoch {epoch}, loss {value:.3f}")
+            place.watch.step(called, state.step, total, f"epoch {epoch}, loss {value:.3f}")
         state.epoch = epoch
         found = _judge(model, average, figures, judged_by, state)
         shown = ", ".join(f"{key} {value:.4f}" for key, value in state.best.items())
         place.watch.say(
-            f"{name} epoch {epoch} of {settings.epochs}: loss {loss_sum / len(learn):.4f}, best of "
-            f"epoch {state.best_epoch}: {shown}"
+            f"{called} epoch {epoch} of {settings.epochs}: loss {loss_sum / len(learn):.4f}, best "
+            f"of epoch {state.best_epoch}: {shown}"
         )
         if state.best and not found <= DIVERGED * state.best[judged_by]:
             _take_back(model, average, optimiser, state)
             place.watch.say(
-                f"{name} diverged in epoch {epoch} ({judged_by} {found:.4f}): back to the "
+                f"{called} diverged in epoch {epoch} ({judged_by} {found:.4f}): back to the "
                 f"weights of epoch {state.best_epoch}, at {SLOWER:g} of the learning rate"
             )
-        _save(place, name, parts, state)
+        _save(place, called, parts, state)
     _give_best(model, state)
     if not state.best:
-        line = f"training {name}: {judged_by} was never finite: train with a smaller learning_rate"
+        line = (
+            f"training {called}: {judged_by} was never finite: train with a smaller learning_rate"
+        )
         raise LossError(line, model, 0, state.best)
     return state.best
 

@@ -28,8 +28,8 @@ import torch
 from hatn_sim.config import Scenario
 from hatn_sim.errors import InputError
 from hatn_sim.evaluation.pool import Teller, work_on
+from hatn_sim.kept import source_version
 from hatn_sim.learn.cache import key_of
-from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.line_choice import choice_figures, fit_line_choice, right_candidates
 from hatn_sim.learn.line_samples import ChoiceSamples, choice_samples, joined
 from hatn_sim.learn.sources import named, played

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from hatn_sim.config import Scenario, load_scenario, load_tracks, recording_names
+from hatn_sim.content import content_hash
 from hatn_sim.errors import InputError
-from hatn_sim.learn.content import content_hash
 from hatn_sim.line_choice import LineChoice
 from hatn_sim.log import read_run
 from hatn_sim.recordings.each import each_recording, own_cases, own_files

@@ -30,11 +30,11 @@ from hatn_sim.hatn.weights_io import (
     make_folder,
     save_weights,
 )
+from hatn_sim.kept import source_version
 from hatn_sim.learn import edn_training
 from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.fit import Figures, FitSettings, LossError, Workplace, fit
-from hatn_sim.learn.kept import source_version
 from hatn_sim.learn.settings import TrainingSettings
 from hatn_sim.learn.sgn_training import Fit, predicted_profiles, train_sgn
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
@@ -97,11 +97,11 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
         if going_on and (done := _finished_card(path)) is not None:
             cards[form] = done
             continue
-        name = form if len(plan.forms) > 1 else ""
+        of_form = replace(place, form=form if len(plan.forms) > 1 else "")
         card = _card(plan, form, settings, len(learn), len(tune), site)
         save = partial(save_weights, path, line_choice=site and site.choice)
         start = plan.start if form == STARTED_FORM else None
-        cards[form] = _train_form(learn, tune, settings, start, place, name, path, card, save)
+        cards[form] = _train_form(learn, tune, settings, start, of_form, path, card, save)
     shutil.rmtree(progress_folder(out), ignore_errors=True)
     return cards
 
@@ -112,7 +112,6 @@ def _train_form(
     settings: TrainingSettings,
     start: Weights | None,
     place: Workplace,
-    name: str,
     path: Path,
     card: Mapping[str, Any],
     save: Callable[[SemanticGraphNetwork, EncoderDecoderNetwork, Mapping[str, Any]], None],
@@ -123,7 +122,7 @@ def _train_form(
     an SGN alone into the folder of progress.
     """
     try:
-        sgn, figures = fit_sgn(learn, tune, settings, place, name, start and start.sgn)
+        sgn, figures = fit_sgn(learn, tune, settings, place, start and start.sgn)
     except LossError as lost:
         if not lost.epoch or place.progress is None:
             raise
@@ -131,7 +130,7 @@ def _train_form(
         save_whole(kept, tensor_bytes(lost.model.state_dict()), ROOM_OR_OUT)
         raise HatnSimError(f"{lost}, in {kept}") from None
     try:
-        edn, more = fit_edn(learn, tune, sgn, settings, place, name, start and start.edn)
+        edn, more = fit_edn(learn, tune, sgn, settings, place, start and start.edn)
     except LossError as lost:
         if not lost.epoch:
             raise
@@ -171,11 +170,10 @@ def fit_sgn(
     tune: Samples,
     settings: TrainingSettings,
     place: Workplace,
-    name: str = "",
     start: SemanticGraphNetwork | None = None,
 ) -> tuple[SemanticGraphNetwork, Figures]:
-    """The semantic graph network and its figures; `name` tells forms apart. Raises as `fit`."""
-    how = _fitting(f"{name} SGN", settings.sgn_fit, place)
+    """The semantic graph network and its figures. Raises as `fit`."""
+    how = _fitting("SGN", settings.sgn_fit, place)
     return train_sgn(learn, tune, settings.sgn, how, start)
 
 
@@ -185,7 +183,6 @@ def fit_edn(
     sgn: SemanticGraphNetwork,
     settings: TrainingSettings,
     place: Workplace,
-    name: str = "",
     start: EncoderDecoderNetwork | None = None,
 ) -> tuple[EncoderDecoderNetwork, Figures]:
     """The encoder-decoder network, on what the SGN predicts, and its figures.
@@ -193,7 +190,7 @@ def fit_edn(
     Raises as `fit`; a `LossError` then holds the network's last good weights.
     """
     profiles = [predicted_profiles(sgn, samples) for samples in (learn, tune)]
-    how = _fitting(f"{name} EDN", settings.edn_fit, place)
+    how = _fitting("EDN", settings.edn_fit, place)
     model = make_edn(settings, profiles[0])
     if start is not None:
         model.load_state_dict(start.state_dict())
@@ -215,7 +212,7 @@ def make_edn(settings: TrainingSettings, profiles: Float32Array) -> EncoderDecod
 
 def _fitting(name: str, how: FitSettings, place: Workplace) -> Fit:
     torch.manual_seed(place.seed)  # for the weights that it begins with
-    return partial(fit, name=name.strip(), settings=how, place=place)
+    return partial(fit, name=name, settings=how, place=place)
 
 
 def weights_path(out: Path, form: str) -> Path:

@@ -39,7 +39,6 @@ class RunWriter:
         if reserved := [key for key in RESERVED_KEYS if key in header]:
             raise ValueError(f"the header of a run may not have the key {reserved[0]!r}")
         json.dumps(dict(header))  # refused before anything is made
-        _make_folder(out)
         self._out = out
         self._header = dict(header)
         self._predictions: dict[str, PartBuffer] = {}
@@ -49,17 +48,26 @@ class RunWriter:
         self._next_frame = 0
         self._written_frames = 0
         self._closed = False
-        with _errors_of_the_disk(out):
-            self._write_run_file(finished=False)
-            (out / schema.TRUTH_FOLDER).mkdir()
-            self._suggestions = self._open_lines(schema.SUGGESTIONS_FILE)
-            self._alerts = self._open_lines(schema.ALERTS_FILE)
-            self._events = self._open_lines(schema.EVENTS_FILE)
-            self._routes_file = self._open_lines(schema.ROUTES_FILE)
         self._counterfactuals: IO[str] | None = None
         self._tracks = PartBuffer(out / schema.TRACKS_FOLDER, schema.TRACKS)
         self._truth = PartBuffer(out / schema.TRUTH_FOLDER, schema.TRUTH)
         self._frames = PartBuffer(out / schema.FRAMES_FOLDER, schema.FRAMES)
+        _make_folder(out)
+        try:
+            self._begin()
+        except BaseException:
+            shutil.rmtree(out, ignore_errors=True)
+            raise
+
+    def _begin(self) -> None:
+        """Fill the folder with what is there from the beginning."""
+        with _errors_of_the_disk(self._out):
+            self._write_run_file(finished=False)
+            (self._out / schema.TRUTH_FOLDER).mkdir()
+            self._suggestions = self._open_lines(schema.SUGGESTIONS_FILE)
+            self._alerts = self._open_lines(schema.ALERTS_FILE)
+            self._events = self._open_lines(schema.EVENTS_FILE)
+            self._routes_file = self._open_lines(schema.ROUTES_FILE)
 
     def __enter__(self) -> Self:
         return self
@@ -124,7 +132,6 @@ class RunWriter:
         """Write what is left; a second call does nothing. `timing` goes to `timing.json`."""
         if self._closed:
             return
-        self._closed = True
         with _errors_of_the_disk(self._out):
             if self._written_frames < self._next_frame:
                 self._write_part()
@@ -135,6 +142,8 @@ class RunWriter:
             if timing is not None:
                 self._write_whole(schema.TIMING_FILE, json.dumps(dict(timing), indent=2))
             self._write_run_file(finished=finished)
+        # Last: who is interrupted in here closes once more.
+        self._closed = True
 
     def _buffer(self, predictor: str) -> PartBuffer:
         if predictor not in self._predictions:

@@ -9,10 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from hatn_sim.content import content_hash
 from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError
-from hatn_sim.learn.content import content_hash
-from hatn_sim.learn.kept import source_version
+from hatn_sim.kept import library_versions, source_version
 from hatn_sim.log.road_file import read_road, write_road
 
 SUFFIX: Final = ".road.json.gz"
@@ -28,7 +28,7 @@ def file_of(folder: Path | None, names: Sequence[str], files: Sequence[Path]) ->
     one cannot be read."""
     if folder is None:
         return None
-    said = json.dumps([source_version(), *names, *map(content_hash, files)])
+    said = json.dumps([source_version(), library_versions(), *names, *map(content_hash, files)])
     return folder / hashlib.sha256(said.encode()).hexdigest()[:32]
 
 

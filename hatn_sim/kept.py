@@ -1,4 +1,4 @@
-"""Where this system keeps what can be made again, and the version of the source that makes it."""
+"""Where this system keeps what can be made again, and the versions of what makes it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import hashlib
 import os
 import sys
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Final
 
-from hatn_sim.learn.content import content_hash
+from hatn_sim.content import content_hash
 from hatn_sim.resources import PACKAGE_DIR
 
 SAMPLES: Final = "samples"
@@ -25,6 +26,8 @@ NO_PART_IN_SAMPLES: Final = (
     "whole_file",
     "bench",
     "cli",
+    "content",
+    "kept",
     "hatn/",
     "learn/",
     "_data/",
@@ -32,6 +35,8 @@ NO_PART_IN_SAMPLES: Final = (
 """Beginnings of the package's files whose change leaves samples as they are ..."""
 BUT: Final = ("hatn/inputs", "hatn/weights/line_choice", "learn/dataset", "learn/sources")
 """... and those among them that have a part after all."""
+DEPENDS_ON: Final = ("numpy", "scipy", "libsumo", "highway-env", "pyproj")
+"""Libraries that have a part in whatever is kept."""
 
 
 def folder_for(kind: str, cache_option: str | None = None) -> Path | None:
@@ -65,3 +70,16 @@ def source_without(left_out: tuple[str, ...], but: tuple[str, ...] = ()) -> str:
         if ours and path.is_file() and "__pycache__" not in name:
             total.update(f"{name} {content_hash(path)}\n".encode())
     return total.hexdigest()
+
+
+@cache
+def library_versions() -> dict[str, str | None]:
+    """The version of each of `DEPENDS_ON`; None: it is not installed."""
+    return {name: _version(name) for name in DEPENDS_ON}
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
