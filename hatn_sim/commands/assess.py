@@ -135,7 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Make the runs; score, print, draw, or calibrate."""
-    from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+    from hatn_sim.commands.folders import free_or_own_folder
 
     out = free_or_own_folder(arguments.out, "assess")
     runs = make_runs(arguments, out)
@@ -147,12 +147,11 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
 
     Raises HatnSimError, and KeyboardInterrupt, where one of them fails; the others stay.
     """
-    from hatn_sim.commands.evaluate_predictors import cores
+    from hatn_sim.commands.folders import finished_runs_stay
     from hatn_sim.commands.progress import RunsProgress
     from hatn_sim.datatypes import DT_S
-    from hatn_sim.errors import HatnSimError
     from hatn_sim.evaluation.assessing import is_assessed, make_assessed
-    from hatn_sim.evaluation.pool import work_on
+    from hatn_sim.evaluation.pool import cores, work_on
     from hatn_sim.score.assessed import read_assessed
 
     plans = list(_plans(arguments, out))
@@ -161,19 +160,12 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
         there = len(plans) - len(wanted)
         said = f"hatn-sim: {there} of {len(plans)} runs are in {out / RUNS_FOLDER} already"
         print(said, file=sys.stderr)
-    stays = f"finished runs stay in {out}, and the same command with --out {out} goes on with them"
     labels, frames = [plan.label for plan in wanted], [plan.frames for plan in wanted]
-    try:
-        with RunsProgress(labels, frames, DT_S, arguments.quiet) as progress:
-            workers = arguments.workers or cores()
-            for number, done in work_on(make_assessed, wanted, workers, progress.show):
-                progress.finish(number, done)
-    except HatnSimError as error:
-        raise type(error)(f"{error}; {stays}" if out.exists() else str(error)) from None
-    except KeyboardInterrupt:
-        if out.exists():
-            print(f"hatn-sim: {stays}", file=sys.stderr)
-        raise
+    progress = RunsProgress(labels, frames, DT_S, arguments.quiet)
+    with finished_runs_stay(out), progress:
+        workers = arguments.workers or cores()
+        for number, done in work_on(make_assessed, wanted, workers, progress.show):
+            progress.finish(number, done)
     runs = [read_assessed(plan.out) for plan in plans]
     if not arguments.quiet:
         for notice in dict.fromkeys(f"{run.scene}: {line}" for run in runs for line in run.notices):

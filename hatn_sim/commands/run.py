@@ -137,6 +137,7 @@ def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
     from hatn_sim.assist.settings import AssistSettings, read_assist_settings
     from hatn_sim.commands.chosen_predictors import load_predictors
+    from hatn_sim.commands.folders import free_folder
     from hatn_sim.commands.line_choices import choice_header, drawing_lines
     from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
     from hatn_sim.commands.run_header import make_header
@@ -157,7 +158,7 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
     if arguments.duration is None and scenario.recorded is None:
         arguments.duration = DURATION_S
-    out: Path = arguments.out or _free_folder(scenario.name)
+    out: Path = arguments.out or free_folder(scenario.name)
     _check_out(out)
     wanted = (arguments.predictor, *arguments.compare)
     # Who acts on advice would teach the network what it said (METHOD section 4).
@@ -404,10 +405,3 @@ def _draw(logged: Any, out: Path, quiet: bool) -> list[Path]:
         if not quiet:
             print(f"hatn-sim: no picture: {error}", file=sys.stderr)
         return []
-
-
-def _free_folder(name: str) -> Path:
-    number = 1
-    while (folder := Path("runs") / f"{name}-{number}").exists():
-        number += 1
-    return folder
