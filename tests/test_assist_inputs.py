@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hatn_sim import cli
+from hatn_sim.assist.settings import ORDERED, RANGES, AssistSettings
 from hatn_sim.log import read_run
 from hatn_sim.log.schema import ALERTS_FILE, COUNTERFACTUALS_FILE, SUGGESTIONS_FILE
 
@@ -47,15 +48,25 @@ def in_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 # Thresholds
 
 
+SHIPPED = AssistSettings()
+OUT_OF_ORDER = [
+    (f"{small} = {high:g}\n{large} = {getattr(SHIPPED, large):g}", f"{small} = {high:g} is above")
+    for small, large in ORDERED
+    if (high := RANGES[small][1]) > getattr(SHIPPED, large)
+]
+IN_OTHER_UNITS = [
+    (f"{key} = {1000.0 * high:g}", f"{key}: expected {low:g} to {high:g}, found {1000.0 * high:g}")
+    for key, (low, high) in RANGES.items()
+]
+
+
 @pytest.mark.parametrize("command", ["run", "assess"])
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("alert_onset_mps2 = 1.0", "alert_end_mps2 = 1.4 is above alert_onset_mps2 = 1"),
-        ("severe_mps2 = 1.5", "alert_onset_mps2 = 1.75 is above severe_mps2 = 1.5"),
-        ("reaction_s = 800", "reaction_s: expected 0.1 to 3, found 800; is it in the unit"),
-        ("alert_onset_mps2 = 17.5", "alert_onset_mps2: expected 0 to 9, found 17.5; is it in"),
-        ("alert_onset_kmh = 9", "unknown key 'alert_onset_kmh'; did you mean 'alert_onset_mps2'"),
+        *OUT_OF_ORDER,
+        *IN_OTHER_UNITS,
+        ("alert_onset_kmh = 9", "unknown key 'alert_onset_kmh'; did you mean 'alert_onset"),
         (None, "cannot be read"),
     ],
 )

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hatn_sim import cli
-from hatn_sim.assist.settings import AssistSettings
+from hatn_sim.assist.settings import ORDERED, AssistSettings
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Advice, Branch, Change, Command, Frame, Plan, Scene, Truth
 from hatn_sim.log import read_run
@@ -30,8 +30,9 @@ FRAMES = 60
 TRACKS_FILE = "vehicle_tracks_000.csv"
 QUIET = ["--no-picture", "--quiet", "--json", "--assist"]
 RUN = ["run", SCENE, "--seed", "301", "--warm-up", str(WARM_UP_S), *QUIET]
-WORRIED = AssistSettings(alert_onset_mps2=0.3, alert_end_mps2=0.2)
-"""So that there are alerts."""
+END, ONSET = ORDERED[0]
+WORRIED = {ONSET: 0.1, END: 0.05}
+"""Settings, so that there are alerts."""
 
 
 @dataclass
@@ -81,7 +82,7 @@ def frames_of(branch: Branch, like: Scene) -> list[Frame]:
 def advised(road: Road, frames: Sequence[Frame]) -> list[tuple[Any, ...]]:
     """Suggestions and alerts of every frame, as they are once the last of them has been seen."""
     told: list[Advice] = []
-    adviser = Adviser(load_predictor("hatn", None, "none"), settings=WORRIED)
+    adviser = Adviser(load_predictor("hatn", None, "none"), settings=AssistSettings(**WORRIED))
     run(
         Played(road, list(frames[1:])),
         [adviser],
@@ -146,7 +147,7 @@ def lines_before(folder: Path, frame: int) -> tuple[list[str], list[str]]:
 def test_the_log_until_somebody_is_driven_otherwise_is_the_same(tmp_path: Path) -> None:
     own, driven, shorter = (tmp_path / name for name in ("own", "driven", "shorter"))
     settings = tmp_path / "assist.toml"
-    settings.write_text("".join(f"{key} = {value}\n" for key, value in asdict(WORRIED).items()))
+    settings.write_text("".join(f"{key} = {value}\n" for key, value in WORRIED.items()))
     words = [*RUN, "--assist-settings", str(settings), "--duration"]
     assert cli.main([*words, f"{0.1 * FRAMES:g}", "--out", str(own)]) == 0
     scenes = list(read_run(own).scenes())
