@@ -135,7 +135,7 @@ def test_a_suite_without_events_has_no_recall(
     # Nor can a threshold be sought on them.
     assert cli.main([*words, "--calibrate", "--quiet"]) == 1
     told = capsys.readouterr()
-    said = "hatn-sim: no collision and no evasive braking in these runs: there is no recall to"
+    said = "hatn-sim: no collision and no evasive braking in these runs: there is nothing to"
     assert told.err.startswith(said) and told.err.count("\n") == 1
     assert not (out / "assist.toml").exists()
 

@@ -47,13 +47,13 @@ EXAMPLES = """examples:
 HELD_OUT: Final = tuple(range(401, 441))
 FOR_CALIBRATION: Final = tuple(range(300, 340))
 DURATION_S: Final = 120.0
+NO_EVENTS: Final = "no collision and no evasive braking in these runs"
 FALSE_ALARMS_PER_HOUR: Final = 1.0
 RUNS_FOLDER: Final = "assessed"
 SETTINGS_FILE: Final = "assist.toml"
 CURVES_FILE: Final = "curves.csv"
 FIGURES: Final = ("curves.png", "curves.pdf")
 OURS: Final = "hatn"
-NO_EVENTS: Final = "no collision and no evasive braking in these runs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -299,7 +299,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     curve = sweep(runs, OURS, thresholds_of(runs, OURS), settings)
     if all(math.isnan(one.event_recall) for one in curve):
         raise HatnSimError(
-            f"{NO_EVENTS}: there is no recall to calibrate for; add seeds, or --risk inattentive"
+            f"{NO_EVENTS}: there is nothing to calibrate by; add seeds, or --risk inattentive"
         )
     best = best_within(curve, arguments.false_alarms)
     if best is None:
