@@ -18,6 +18,8 @@ from hatn_sim.assist.moment import CONFLICT, TYPES, PairDangers
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import Alert, FloatArray, IntArray, Scene
 
+WITHIN_S: Final = 5.0
+"""Danger is the chance of an event so soon."""
 ROUNDING_S: Final = 1e-6
 _Pair = tuple[str, str]
 """The ids of two vehicles, sorted."""
@@ -51,7 +53,7 @@ def alert(
     The ego of an alert is the first of its pair that is one of `egos`. Once it is known that an
     alert is over, its `peak` and its `end` are told, at the times when they were.
     """
-    first, second, danger, type_ = _worst(dangers, settings.alert_end_mps2)
+    first, second, danger, type_ = _worst(dangers, settings.alert_end)
     edges: list[Alert] = []
     still = dict(state.open)
     count = state.count
@@ -70,13 +72,12 @@ def alert(
                 continue
         key = (min(ego_id, other_id), max(ego_id, other_id))
         before = still.get(key)
-        starts = value >= settings.alert_onset_mps2
+        starts = value >= settings.alert_onset
         goes_on = (
             before is not None and scene.time_s - before.last_s <= settings.end_after_s + ROUNDING_S
         )
         if not starts and not goes_on:
             continue
-        severity = min(value / settings.severe_mps2, 1.0)
         if before is None:
             count += 1
             onset = Alert(
@@ -86,7 +87,7 @@ def alert(
                 time_s=scene.time_s,
                 ego_id=ego_id,
                 other_id=other_id,
-                severity=severity,
+                severity=value,
                 reason=_reason(TYPES[kind], value, scene.ids[a]),
             )
             edges.append(onset)
@@ -97,7 +98,7 @@ def alert(
             worse = replace(
                 before.alert,
                 edge="peak",
-                severity=severity,
+                severity=value,
                 time_s=scene.time_s,
                 reason=_reason(before.alert.type, value, before.deviates_id),
             )
@@ -120,7 +121,6 @@ def _worst(dangers: PairDangers, least: float) -> tuple[IntArray, IntArray, Floa
     return first[best], second[best], danger[best], kind[best]
 
 
-def _reason(type_: str, danger_mps2: float, deviates_id: str) -> str:
-    why = "both come to one place at once, and neither gives way in comfort"
-    why = f"{why}: {danger_mps2:.1f} m/s2"
+def _reason(type_: str, danger: float, deviates_id: str) -> str:
+    why = f"{100.0 * danger:.0f} % likely to collide or to brake hard within {WITHIN_S:.0f} s"
     return why if type_ == TYPES[CONFLICT] else f"{deviates_id} was to give way; {why}"

@@ -48,6 +48,10 @@ class Pairs:
     length_m: FloatArray  # [Q, 2] of the vehicles
     angle_rad: FloatArray  # [Q] between the lines there, 0 ... pi
 
+    def of(self, rows: IntArray) -> Pairs:
+        """Some of them."""
+        return Pairs(*(getattr(self, field.name)[rows] for field in fields(self)))
+
 
 def pairs_of(
     road: Road, scene: Scene, lines: Lines, leader: IntArray, leader_s_m: FloatArray

@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.pairs import FOLLOW, Pairs
-from hatn_sim.datatypes import DT_S, ConflictType, FloatArray, Prediction, Scene
+from hatn_sim.datatypes import DT_S, ConflictType, FloatArray, IntArray, Prediction, Scene
 
 FAR_S: Final = 60.0
 """Predicted arrivals later than this count as this: the vehicle stands."""
@@ -56,6 +56,10 @@ class Times:
     def second_s(self) -> FloatArray:
         """[Q] when the second comes in."""
         return np.asarray(self.enter_s.max(axis=1))
+
+    def of(self, rows: IntArray) -> Times:
+        """Of some of the pairs."""
+        return Times(self.enter_s[rows], self.leave_s[rows])
 
 
 def times_at_speed(pairs: Pairs, speed_mps: FloatArray) -> Times:

@@ -6,8 +6,9 @@ the threshold at which it raises no more false alarms than HATN's does. False al
 where drivers are courteous, if that is among the profiles. Finished runs stay in OUT/assessed; the
 same command with the same --out goes on where it was stopped.
 
-With --calibrate, a threshold is sought instead: that which recalls most at no more than
---false-alarms per vehicle-hour, on seeds of its own. It is written to OUT/assist.toml.
+With --calibrate, what tells the danger of a pair is fitted anew instead, on seeds of its own, and
+the threshold sought that recalls most at no more than --false-alarms per vehicle-hour. Both are
+written: OUT/danger.json, and OUT/assist.toml, to be given as --assist-settings.
 """
 
 from __future__ import annotations
@@ -51,9 +52,10 @@ NO_EVENTS: Final = "no collision and no evasive braking in these runs"
 FALSE_ALARMS_PER_HOUR: Final = 1.0
 RUNS_FOLDER: Final = "assessed"
 SETTINGS_FILE: Final = "assist.toml"
+NETWORK_FILE: Final = "danger.json"
+SEVERE: Final = ("T1", "T2")
 CURVES_FILE: Final = "curves.csv"
 FIGURES: Final = ("curves.png", "curves.pdf")
-OURS: Final = "hatn"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "1 (default: none)",
     )
     parser.add_argument(
-        "--calibrate", action="store_true", help="seek the threshold of HATN's alerts"
+        "--calibrate", action="store_true", help="fit the danger of alerts and seek their threshold"
     )
     parser.add_argument(
         "--false-alarms",
@@ -176,6 +178,7 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
 def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     """Every seed of every profile of every scene."""
     from hatn_sim.assist.baselines import RULES
+    from hatn_sim.assist.danger_network import sha256_of_danger_network
     from hatn_sim.commands.options import default_warm_up_s
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import InputError, nearest
@@ -187,6 +190,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
         if name not in RULES:
             raise InputError(f"--rules: unknown rule {name!r}{nearest(name, RULES)}")
     settings = _settings(arguments)
+    danger = None if arguments.calibrate else sha256_of_danger_network(settings.danger_network)
     for_seeds = arguments.seeds or (FOR_CALIBRATION if arguments.calibrate else HELD_OUT)
     for scenario in _scenarios(arguments):
         warm_up_s = default_warm_up_s(scenario)
@@ -206,6 +210,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                 rules=rules,
                 settings=settings,
                 counterfactuals=arguments.counterfactuals,
+                keeps_signs=arguments.calibrate,
                 made_with={
                     "scene": scenario.name,
                     "density": scenario.density,
@@ -217,6 +222,8 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                     "settings": asdict(settings),
                     "counterfactuals": arguments.counterfactuals,
                     "weights": _sha256(arguments.weights),
+                    "keeps_signs": arguments.calibrate,
+                    "danger_network": None if arguments.calibrate else danger,
                     "versions": installed(),
                     **made,
                 },
@@ -289,18 +296,23 @@ def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun])
 
 
 def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun]) -> int:
-    from hatn_sim.errors import HatnSimError, InputError
+    from hatn_sim.assist.danger import HATN
+    from hatn_sim.assist.danger_network import write_danger_networks
+    from hatn_sim.assist.settings import NETWORK
+    from hatn_sim.commands.versions import installed
+    from hatn_sim.errors import HatnSimError
+    from hatn_sim.learn.danger_study import fit_all, held_out_runs
     from hatn_sim.score.sweep import best_within, sweep, thresholds_of
     from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
-    if OURS not in runs[0].traces:
-        raise InputError(f"--rules: --calibrate is of {OURS}; add it")
-    settings = _settings(arguments)
-    curve = sweep(runs, OURS, thresholds_of(runs, OURS), settings)
-    if all(math.isnan(one.event_recall) for one in curve):
+    networks = fit_all(runs)
+    if networks is None:
         raise HatnSimError(
             f"{NO_EVENTS}: there is nothing to calibrate by; add seeds, or --risk inattentive"
         )
+    settings = _settings(arguments)
+    judged = held_out_runs(runs, HATN)
+    curve = sweep(judged, HATN, thresholds_of(judged, HATN), settings)
     best = best_within(curve, arguments.false_alarms)
     if best is None:
         raise HatnSimError(
@@ -308,16 +320,28 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
             "allow more with --false-alarms, or add runs"
         )
     # Rounded up, so that what is written is as strict.
-    onset = math.ceil(100.0 * best.threshold) / 100.0
-    release = settings.alert_end_mps2 / settings.alert_onset_mps2
-    found = replace(settings, alert_onset_mps2=onset, alert_end_mps2=round(release * onset, 3))
+    onset = math.ceil(1000.0 * best.threshold) / 1000.0
+    release = settings.alert_end / settings.alert_onset
+    found = replace(settings, alert_onset=onset, alert_end=round(release * onset, 4))
+    card = {
+        "scenes": sorted({run.scene for run in runs}),
+        "profiles": sorted({run.risk for run in runs}),
+        "seeds": sorted({run.seed for run in runs}),
+        "vehicle_hours": round(sum(run.vehicle_hours for run in runs), 2),
+        "events": sum(one.tier in SEVERE for run in runs for one in run.events),
+        "versions": installed(),
+    }
+    write_danger_networks(out / NETWORK_FILE, networks, card)
     path = out / SETTINGS_FILE
-    lines = [f"{field.name} = {getattr(found, field.name)}" for field in fields(found)]
+    values = {field.name: getattr(found, field.name) for field in fields(found)}
+    lines = [f"{key} = {value}" for key, value in values.items() if key != NETWORK]
+    lines.append(f'{NETWORK} = "{NETWORK_FILE}"')
     save_whole(path, "\n".join(lines) + "\n", ROOM_OR_OUT)
     print(
-        f"alerts from {onset:g} m/s2 on: {best.false_alarms_per_hour:.2f} false alarms per "
-        f"vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "
-        f"{_percent(best.recall_1s5)} by 1.5 s or more; settings in {path}"
+        f"alerts from a danger of {100.0 * onset:.1f} % on: {best.false_alarms_per_hour:.2f} false "
+        f"alarms per vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "
+        f"{_percent(best.recall_1s5)} by 1.5 s or more (on runs that the network was not fitted "
+        f"to); settings in {path}, the network in {out / NETWORK_FILE}"
     )
     return 0
 

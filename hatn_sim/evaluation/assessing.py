@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.baselines import RULES
+from hatn_sim.assist.danger import SIGNS_OF
 from hatn_sim.assist.moment import Moment, Recent
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.assist.suggest import SuggestionState, suggest
@@ -33,6 +34,7 @@ from hatn_sim.score.dangers import DangerRecorder
 from hatn_sim.score.driven import DrivenRecorder
 from hatn_sim.score.events import severe_events, vehicle_hours
 from hatn_sim.score.offences import warnable_s
+from hatn_sim.score.sign_traces import SignRecorder
 from hatn_sim.score.what_if import Line, WhatIf
 from hatn_sim.traffic import open_traffic
 
@@ -59,6 +61,7 @@ class AssessPlan:
     settings: AssistSettings
     counterfactuals: float  # rate at which advice is judged by branches; 0: none is
     made_with: Mapping[str, Any]  # what another run in its place is held against
+    keeps_signs: bool = False  # of danger, to calibrate by; nobody is advised then
 
     @property
     def frames(self) -> int:
@@ -130,6 +133,7 @@ class _Looking:
         self._recent = Recent()
         self._alerts = AlertState()
         self._dangers = {name: DangerRecorder() for name in plan.rules}
+        self._signs = {name: SignRecorder() for name in SIGNS_OF} if plan.keeps_signs else {}
         self._what_if: WhatIf | None = None
         self._notices: tuple[str, ...] = ()
         if plan.counterfactuals and simulator.cannot_branch is not None:
@@ -153,14 +157,17 @@ class _Looking:
         if index % LOOK_EVERY_FRAMES:
             return
         prediction = self._predictor.predict(self._memory)
-        self._told, suggestions = suggest(self._told, self._road, scene, prediction, None)
-        sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
-        advice = Advice(prediction, suggestions, ())
-        self._advice.add(index, scene.time_s, advice, sampled)
         earlier = self._recent.earlier(scene.time_s)
         self._recent = self._recent.with_newest(scene.time_s, prediction)
         seen, settings = self._memory.seen, self._plan.settings
         moment = Moment(self._road, seen, prediction, earlier, settings)
+        if self._signs:
+            for name, recorder in self._signs.items():
+                recorder.add(scene.time_s, scene.ids, SIGNS_OF[name](moment))
+            return
+        self._told, suggestions = suggest(self._told, self._road, scene, prediction, None)
+        sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
+        self._advice.add(index, scene.time_s, Advice(prediction, suggestions, ()), sampled)
         for name, recorder in self._dangers.items():
             recorder.add(scene.time_s, scene.ids, RULES[name](moment))
         if self._what_if is not None:
@@ -191,4 +198,5 @@ class _Looking:
             counterfactuals=tuple(self._lines),
             made_with=plan.made_with,
             notices=(*notices, *self._notices),
+            signs={name: recorder.trace() for name, recorder in self._signs.items()},
         )

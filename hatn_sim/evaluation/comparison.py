@@ -64,8 +64,8 @@ def compare_rules(
         rules = list(of_scene[0].traces)
         thresholds = {rule: FIXED.get(rule, np.inf) for rule in (*rules, ORACLE)}
         if OURS in rules:
-            thresholds[OURS] = settings.alert_onset_mps2
-            ours = operating(of_scene, OURS, settings.alert_onset_mps2, settings)
+            thresholds[OURS] = settings.alert_onset
+            ours = operating(of_scene, OURS, settings.alert_onset, settings)
             rate = ours.false_alarms_per_hour
             for rule, curve in curves[scene].items():
                 if rule != OURS:

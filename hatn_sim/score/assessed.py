@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -16,9 +16,10 @@ from hatn_sim.datatypes import FloatArray, SafetyEvent
 from hatn_sim.errors import InputError
 from hatn_sim.score.advised import Advised
 from hatn_sim.score.dangers import DangerTrace
+from hatn_sim.score.sign_traces import SignTrace
 from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 _TRACE: Final = ("time_s", "first", "second", "danger", "type")
 
 
@@ -38,6 +39,7 @@ class AssessedRun:
     warnable_s: FloatArray | None = None  # of `events`, as `offences` has it; None: nobody asked
     made_with: Mapping[str, Any] = field(default_factory=dict[str, Any])  # settings, to compare
     notices: tuple[str, ...] = ()
+    signs: Mapping[str, SignTrace] = field(default_factory=dict[str, SignTrace])  # to calibrate by
 
 
 def write_assessed(path: Path, run: AssessedRun) -> None:
@@ -62,6 +64,7 @@ def write_assessed(path: Path, run: AssessedRun) -> None:
             for name in ("encounters", "switches", "crossings", "sampled", "abstained")
         },
         "rules": {name: trace.ids for name, trace in run.traces.items()},
+        "signs": {name: trace.pairs.ids for name, trace in run.signs.items()},
     }
     arrays: dict[str, Any] = {
         "probability": advised.probability,
@@ -72,6 +75,9 @@ def write_assessed(path: Path, run: AssessedRun) -> None:
         arrays["warnable_s"] = run.warnable_s
     for number, trace in enumerate(run.traces.values()):
         arrays |= {f"{number}.{name}": getattr(trace, name) for name in _TRACE}
+    for name, trace in run.signs.items():
+        arrays |= {f"{name}.{column}": getattr(trace.pairs, column) for column in _TRACE}
+        arrays[f"{name}.signs"] = trace.signs
     packed = io.BytesIO()
     np.savez_compressed(packed, head=np.array(json.dumps(head)), **arrays)
     save_whole(path, packed.getbuffer(), ROOM_OR_OUT)
@@ -96,6 +102,10 @@ def read_assessed(path: Path) -> AssessedRun:
 
 def _run_of(head: dict[str, Any], arrays: dict[str, Any]) -> AssessedRun:
     low_s, high_s = head["window_s"]
+
+    def trace(key: object, ids: Sequence[str]) -> DangerTrace:
+        return DangerTrace(tuple(ids), **{name: arrays[f"{key}.{name}"] for name in _TRACE})
+
     return AssessedRun(
         scene=head["scene"],
         risk=head["risk"],
@@ -104,10 +114,7 @@ def _run_of(head: dict[str, Any], arrays: dict[str, Any]) -> AssessedRun:
         vehicle_hours=head["vehicle_hours"],
         events=tuple(SafetyEvent(**event) for event in head["events"]),
         traces={
-            name: DangerTrace(
-                tuple(ids), **{column: arrays[f"{number}.{column}"] for column in _TRACE}
-            )
-            for number, (name, ids) in enumerate(head["rules"].items())
+            name: trace(number, ids) for number, (name, ids) in enumerate(head["rules"].items())
         },
         advised=Advised(
             **head["advised"],
@@ -119,4 +126,8 @@ def _run_of(head: dict[str, Any], arrays: dict[str, Any]) -> AssessedRun:
         warnable_s=arrays.get("warnable_s"),
         made_with=head["made_with"],
         notices=tuple(head["notices"]),
+        signs={
+            name: SignTrace(trace(name, ids), arrays[f"{name}.signs"])
+            for name, ids in head["signs"].items()
+        },
     )

@@ -176,7 +176,7 @@ def _count(
     run: AssessedRun, alerts: Sequence[AlertInterval], rare: float
 ) -> tuple[FloatArray, FloatArray]:
     """(counts, lead times of the severe events that were preceded)."""
-    counted = [k for k, one in enumerate(run.events) if one.tier != "T3" or _is_close(one)]
+    counted = [k for k, one in enumerate(run.events) if one.tier != "T3" or is_close(one)]
     events = [run.events[k] for k in counted]
     unasked = np.full(len(events), np.nan)
     warnable_s = unasked if run.warnable_s is None else run.warnable_s[counted]
@@ -216,7 +216,7 @@ def _count(
     return np.array([float(counts[name]) for name in COLUMNS]), leads
 
 
-def _is_close(event: SafetyEvent) -> bool:
+def is_close(event: SafetyEvent) -> bool:
     """Near enough that an alert on it is not false."""
     return (event.encroachment_s or 0.0) < max(NEAR_S.values()) - ROUNDING_S
 

@@ -80,7 +80,7 @@ def alerts_at(
     Its type is that of its onset.
     """
     settings = settings or AssistSettings()
-    release = settings.alert_end_mps2 / settings.alert_onset_mps2
+    release = settings.alert_end / settings.alert_onset
     row = np.flatnonzero(trace.danger >= release * threshold)
     if not len(row):
         return []
@@ -109,7 +109,7 @@ def alerts_at(
             onset_s=float(time_s[onset]),
             end_s=float(time_s[end - 1]),
             peak_s=float(time_s[peak]),
-            severity=min(float(danger[peak]) / settings.severe_mps2, 1.0),
+            severity=min(float(danger[peak]), 1.0),
             danger=float(danger[peak]),
         )
         pause_s = alert.onset_s - alerts[-1].end_s if before == (one, other) else np.inf
