@@ -268,7 +268,11 @@ def recording_names(text: str) -> tuple[str, ...]:
         elif first.isdecimal() and last.isdecimal() and 0 <= int(last) - int(first) < MOST_NAMED:
             names += [f"{k:0{len(first)}d}" for k in range(int(first), int(last) + 1)]
         else:
-            raise InputError(f"recordings: expected names like 000-004,017, found {part!r}")
+            is_back = first.isdecimal() and last.isdecimal() and int(last) < int(first)
+            instead = f"; say {last}-{first}" if is_back else ""
+            raise InputError(
+                f"recordings: expected names like 000-004,017, found {part!r}{instead}"
+            )
     return tuple(dict.fromkeys(names))
 
 
@@ -284,7 +288,9 @@ def seed_numbers(text: str, where: str = "") -> tuple[int, ...]:
             raise InputError(f"{where}expected seeds like 7, 1-12 or 1-4,9, found {text!r}")
         start, stop = int(first), int(last or first)
         if stop < start:
-            raise InputError(f"{where}expected seeds in rising order, found {part!r}")
+            raise InputError(
+                f"{where}expected seeds in rising order, found {part!r}; say {last}-{first}"
+            )
         if stop - start >= MOST_NAMED:
             raise InputError(f"{where}expected at most {MOST_NAMED:,} seeds, found {part!r}")
         found += range(start, stop + 1)

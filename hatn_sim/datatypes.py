@@ -327,6 +327,7 @@ class Score:
     high: float | None
     std: float | None = None  # over samples, of measures that are means
     lines: str = ""  # of recordings: what reference lines follow, and what chose among them
+    seen: str = ""  # of networks: what of the scene they were trained or tuned on
 
 
 # ---------------------------------------------------------------------------------------------

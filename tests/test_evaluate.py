@@ -149,8 +149,10 @@ def test_the_form_and_the_figures_are_those_of_run(capsys: pytest.CaptureFixture
 
 def test_every_recording_is_a_run_on_cores_side_by_side(capsys: pytest.CaptureFixture[str]) -> None:
     sample = scenarios_dir() / "recorded_sample"
-    for number in range(3):
-        shutil.copy(sample / "vehicle_tracks_000.csv", f"vehicle_tracks_{number:03d}.csv")
+    data = (sample / "vehicle_tracks_000.csv").read_bytes()
+    # The same vehicles in files that are no copies of each other, which would draw no lines.
+    for number, content in enumerate((data, data.rstrip(), data.replace(b"\n", b"\r\n"))):
+        Path(f"vehicle_tracks_{number:03d}.csv").write_bytes(content)
     tracks = ("--tracks", "vehicle_tracks_*.csv", "--map", sample / "map.osm", *RULES)
     end = ("--duration", 9, "--out", "out")
     words = (*tracks, "--recordings", "001-002", *end)
@@ -230,14 +232,16 @@ def test_finished_runs_are_used_again_and_others_made_anew(
     assert heads[0].stat().st_mtime_ns == made_at[0]
     capsys.readouterr()
     for other, expected in (
-        (("--predictors", "idm"), "settings.predictor idm, found constant_velocity"),
-        (("--duration", 7), "settings.duration_s 7.0, found 8.0"),
-        (("--risk", "assertive"), "settings.risk assertive, found courteous"),
+        (("--predictors", "idm"), "--predictors (constant_velocity there, idm here)"),
+        (("--duration", 7), "--duration (8.0 there, 7.0 here)"),
+        (("--risk", "assertive"), "--risk (courteous there, assertive here)"),
     ):
         assert evaluate(*words, "--seeds", "1-2", *other) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith("hatn-sim: out/runs/tjunction-seed-1: was made otherwise: expected ")
-        assert f"{expected}; choose another --out" in line
+        assert line == (
+            f"hatn-sim: out/runs/tjunction-seed-1: was made with other {expected}; choose another "
+            "--out, or remove the run"
+        )
 
 
 def test_a_run_that_fails_leaves_the_others(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -366,6 +370,12 @@ def test_mistakes_are_one_line(
     (line,) = printed.err.splitlines()
     assert line.startswith(f"hatn-sim: {expected}")
     assert [path.name for path in here.iterdir()] == ["file"]
+
+
+def test_a_predictor_named_twice_is_taken_once(capsys: pytest.CaptureFixture[str]) -> None:
+    found = load_predictors(("idm", "constant_velocity", "idm"), None, "none", quiet=False)
+    assert [one.name for one in found] == ["idm", "constant_velocity"]
+    assert capsys.readouterr().err == "hatn-sim: idm: named twice, taken once\n"
 
 
 def test_something_else_in_the_place_of_a_run(

@@ -58,6 +58,13 @@ def test_weights_come_back_bit_for_bit(tmp_path: Path) -> None:
             ),
             "cannot be read as the networks of its card",
         ),
+        (lambda p: said(p, split=["seeds 1-12"]), "split: expected lists of traffic by part"),
+        (lambda p: said(p, split={"train": {"seeds": [1]}}), "split: expected lists of traffic"),
+        (lambda p: said(p, split={"tune": ["seed 1"]}), "split: expected lists of traffic"),
+        (lambda p: said(p, split={"train": [{"seeds": 1}]}), "split: expected lists of traffic"),
+        (lambda p: said(p, split={"train": [{"recordings": [7]}]}), "split: expected lists"),
+        (lambda p: said(p, start="shipped"), "start: expected null or what .* found 'shipped'"),
+        (lambda p: said(p, start={"split": 3}), "start.split: expected lists of traffic"),
     ],
 )
 def test_damaged_weights_say_what_is_wrong(
@@ -67,6 +74,12 @@ def test_damaged_weights_say_what_is_wrong(
     damage(path)
     with pytest.raises(InputError, match=words):
         load_weights(path)
+
+
+def said(path: Path, **more: object) -> None:
+    """Edit a card by hand."""
+    card = path.with_suffix(".json")
+    card.write_text(json.dumps({**json.loads(card.read_text()), **more}))
 
 
 def untrained(folder: Path) -> Path:

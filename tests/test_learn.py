@@ -408,9 +408,10 @@ def test_the_whole_command_on_recorded_tracks_and_scenes(
     assert capsys.readouterr().out.startswith(f"{out}: ")
     text = (tmp_path / "w.json").read_text()
     card = json.loads(text)
-    assert card["split"]["train"] == [
-        {"site": "recorded_sample", "lines": "lanes", "recordings": ["vehicle_tracks_000.csv"]}
-    ]
+    (entry,) = card["split"]["train"]
+    assert entry["site"] == "recorded_sample" and entry["lines"] == "lanes"
+    assert entry["recordings"] == ["vehicle_tracks_000.csv"] and entry["map"] == "map.osm"
+    assert "folders are left out" in card["command_of_files"]
     assert "--split split.toml --epochs 1" in card["command"]
     assert str(tmp_path) not in text and str(site) not in text
 

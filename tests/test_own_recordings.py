@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shlex
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +19,10 @@ from test_track_lines import traffic as drivers
 from test_track_lines import write_recording
 
 from hatn_sim import cli, perception
+from hatn_sim.config import load_tracks
 from hatn_sim.datatypes import DT_S
 from hatn_sim.errors import InputError
+from hatn_sim.evaluation.seen import was_seen
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.predictor import Hatn
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
@@ -28,6 +32,7 @@ from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.fit import FitSettings
 from hatn_sim.learn.line_choice import choice_figures
 from hatn_sim.learn.line_samples import choice_samples, joined
+from hatn_sim.learn.map_doubts import with_doubts
 from hatn_sim.learn.settings import FORMS, TrainingSettings
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
 from hatn_sim.learn.sources import played
@@ -37,6 +42,7 @@ from hatn_sim.learn.watch import Nobody
 from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
 from hatn_sim.log import Run, read_run
 from hatn_sim.perception import PerceptionState
+from hatn_sim.recordings.each import each_recording
 from hatn_sim.recordings.lanelet2.writer import write_lanelet2
 from hatn_sim.report import moment
 from hatn_sim.road import Road
@@ -96,7 +102,53 @@ def test_every_recording_is_judged_on_lines_of_others(
     assert evaluate(site, *plain) == 0
     assert "7 of 7 runs are in" in capsys.readouterr().err
     assert evaluate(site, *plain, "--lines-from", "lanes", "--quiet") == 2
-    assert "was made otherwise: expected settings." in capsys.readouterr().err
+    assert "was made with other --lines-from, or other recordings" in capsys.readouterr().err
+
+
+def test_a_copy_under_another_name_has_no_part_in_the_lines(site: Path, tmp_path: Path) -> None:
+    shutil.copytree(site, tmp_path / "copied")
+    shutil.copy(site / "vehicle_tracks_001.csv", tmp_path / "copied" / "vehicle_tracks_900.csv")
+    scenes = each_recording(
+        load_tracks([str(tmp_path / "copied" / "*.csv")], tmp_path / "copied" / "map.osm"), "tracks"
+    )
+    by = {name: one.recorded.drawn.recordings for name, one in scenes.items()}  # type: ignore[union-attr]
+    assert "900" not in by["001"] and "001" not in by["900"]
+    assert {"001", "900"} <= set(by["000"])
+
+
+def test_a_doubt_about_a_map_is_told_before_samples_are_cut(
+    site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the card too, with the map; recordings that were learnt from are known under any name."""
+    moved = tmp_path / "moved.osm"
+    write_lanelet2(moved, crossing_lanes(shift_m=(0.0, 4.0)))  # south to north lies as it did
+
+    def cut(*_: object) -> None:
+        assert "is moved.osm the map of this place, and whole?" in capsys.readouterr().err
+        raise InputError("enough")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hatn_sim.learn.train.gather", cut)
+        words = ["--tracks", str(site / "vehicle_tracks_*.csv"), "--map", str(moved)]
+        words += ["--recordings", "000", "--tune", "001", "--lines-from", "lanes"]
+        words += ["--cache", "none", "--out", str(tmp_path / "w.safetensors")]
+        assert cli.main(["train", *words]) == 2
+    assert capsys.readouterr().err.endswith("hatn-sim: enough\n")
+    parts = {
+        part: traffic_of_tracks([str(site / "*.csv")], moved, name, "lanes")
+        for part, name in (("train", "000"), ("tune", "001"))
+    }
+    split = with_doubts(make_split(parts), Nobody())
+    (entry,) = split.card()["train"]
+    assert entry["map"] == "moved.osm"
+    assert entry["map_sha256"] == hashlib.sha256(moved.read_bytes()).hexdigest()
+    (doubt,) = entry["doubts"]
+    assert doubt.startswith("vehicle_tracks_000.csv: only ")
+    shutil.copy(site / "vehicle_tracks_000.csv", tmp_path / "another.csv")
+    shutil.copy(site / "vehicle_tracks_002.csv", tmp_path / "third.csv")
+    card = {"split": split.card()}
+    for name, seen in (("another", True), ("third", False)):
+        assert was_seen(card, load_tracks([str(tmp_path / f"{name}.csv")], moved), None) == seen
 
 
 def test_the_command_in_a_log_makes_the_same_run(site: Path) -> None:

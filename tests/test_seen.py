@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -86,4 +87,11 @@ def test_the_command_says_so(
     ]
     assert cli.main(["evaluate", *words, *out]) == 0
     line = "hatn was trained or tuned on 1 of 1 runs (intersection5, seed 1): its errors there are"
-    assert (line in capsys.readouterr().err) == said
+    printed = capsys.readouterr()
+    assert (line in printed.err) == said
+    kept = json.loads((tmp_path / "out" / "scores.json").read_text())
+    assert kept == json.loads(printed.out)
+    assert all(("seen" in score) == said for score in kept)
+    assert cli.main(["evaluate", *words, *out[:-1], "--quiet"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == "" and ("intersection5: hatn was trained" in printed.out) == said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from pathlib import Path
@@ -77,7 +78,16 @@ warm_up_s = 10
     card = split.card()
     assert card["train"][0]["seeds"] == [1, 5] and card["train"][1]["risk"] == "assertive"
     files = ["vehicle_tracks_000.csv", "vehicle_tracks_001.csv"]
-    assert card["train"][-1] == {"site": "site", "lines": "lanes", "recordings": files}
+    digests = [hashlib.sha256((site / name).read_bytes()).hexdigest() for name in files]
+    of_map = hashlib.sha256((site / "map.osm").read_bytes()).hexdigest()
+    assert card["train"][-1] == {
+        "site": "site",
+        "lines": "lanes",
+        "map": "map.osm",
+        "map_sha256": of_map,
+        "recordings": files,
+        "sha256": digests,
+    }
     assert card["test"][0]["seeds"] == [9]
     assert str(site) not in str(card)
 
@@ -87,6 +97,11 @@ warm_up_s = 10
     [
         ("[[tain]]\n", "unknown table 'tain'; did you mean 'train' or 'tune'?"),
         ("train = 3\n", "train: expected tables [[train]], found 3"),
+        ("[tune]\nruns = 'x'\n", "expected tables [[tune]], found [tune]; double the brackets"),
+        (
+            '[[train]]\ntracks = "*.csv"\nmap = "map.osm"\nrecordings = "4-0"\n',
+            "recordings: expected names like 000-004,017, found '4-0'; say 0-4",
+        ),
         ("[[train]]\nseeds = 3\n", "[[train 1]]: expected one of scenes, tracks, runs in it"),
         ("[[train]]\nscenes = 'tjunction'\nsedes = 3\n", "unknown key 'sedes'; did you mean 'see"),
         ("[[train]]\nscenes = 'tjunction'\n", "seeds is missing: add seeds like"),

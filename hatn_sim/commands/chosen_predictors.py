@@ -27,6 +27,9 @@ def load_predictors(
     from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
 
     wanted = dict.fromkeys(names)
+    twice = [name for name in wanted if names.count(name) > 1]
+    if twice and not quiet:
+        print(f"hatn-sim: {', '.join(twice)}: named twice, taken once", file=sys.stderr)
     given = None if weights is None else f"--weights {weights}"
     given = f"--adapt {adapt}" if given is None and adapt != "none" else given
     if given is not None and READS_WEIGHTS.isdisjoint(wanted):

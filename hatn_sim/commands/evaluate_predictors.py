@@ -17,7 +17,7 @@ from hatn_sim.evaluation.pool import cores
 
 if TYPE_CHECKING:
     from hatn_sim.config import RecordedSource, Scenario
-    from hatn_sim.datatypes import Predictor
+    from hatn_sim.datatypes import Predictor, Score
     from hatn_sim.evaluation.runs import RunPlan
     from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import Run
@@ -32,13 +32,12 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.commands.console import make_console
     from hatn_sim.report.steps_figure import draw_steps, write_steps
     from hatn_sim.report.table import score_table, scores_json, write_scores
-    from hatn_sim.score.prediction import score_runs
     from hatn_sim.score.steps import errors_by_step
 
     arguments.predictors = arguments.predictors or PREDICTORS
     out = free_or_own_folder(arguments.out, "evaluate")
-    logged = make_runs(arguments, out)
-    scores, steps = score_runs(logged), errors_by_step(logged)
+    logged, scores = scored_runs(arguments, out)
+    steps = errors_by_step(logged)
     path = write_scores(out, scores)
     write_steps(out / STEPS_FILE, steps)
     draw_steps(steps, [out / name for name in FIGURES])
@@ -51,21 +50,28 @@ def main(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def make_runs(arguments: argparse.Namespace, out: Path) -> list[Run]:
-    """The logs of all runs that are asked for, made where they are not there; by scene.
+def scored_runs(arguments: argparse.Namespace, out: Path) -> tuple[list[Run], list[Score]]:
+    """The logs of all runs that are asked for, made where they are not there, and their scores.
+
+    By scene; scores say where a network is judged on what it learnt from.
 
     Raises HatnSimError, and KeyboardInterrupt, where one of them fails; the others stay.
     """
     from hatn_sim.commands.chosen_predictors import load_predictors
     from hatn_sim.evaluation.runs import is_there
+    from hatn_sim.evaluation.seen import Judged, said_of_seen, with_seen
     from hatn_sim.log import read_run
+    from hatn_sim.score.prediction import score_runs
 
     predictors = load_predictors(
         arguments.predictors, arguments.weights, arguments.adapt, arguments.quiet
     )
     plans = list(_plans(arguments, predictors, out))
+    judged = [Judged(plan.label, plan.scenario, plan.seed) for plan in plans]
+    seen = said_of_seen(predictors, judged)
     if not arguments.quiet:
-        _say_what_was_seen(predictors, plans)
+        for (predictor, scene), words in seen.items():
+            print(f"hatn-sim: {scene}: {predictor} {words}", file=sys.stderr)
     there = [is_there(plan) for plan in plans]
     if any(there) and not arguments.quiet:
         said = f"hatn-sim: {sum(there)} of {len(plans)} runs are in {out / RUNS_FOLDER} already"
@@ -73,23 +79,8 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[Run]:
     wanted = [plan for plan, made in zip(plans, there, strict=True) if not made]
     with finished_runs_stay(out):
         _make(wanted, arguments.workers or cores(), arguments.quiet)
-    return [read_run(plan.out) for plan in plans]
-
-
-def _say_what_was_seen(predictors: Sequence[Predictor], plans: Sequence[RunPlan]) -> None:
-    """A line for each network that is judged on what it learnt from."""
-    from hatn_sim.evaluation.seen import was_seen
-
-    for predictor in predictors:
-        card = getattr(getattr(predictor, "weights", None), "card", {})
-        seen = [plan.label for plan in plans if was_seen(card, plan.scenario, plan.seed)]
-        if seen:
-            runs = seen[0] if len(seen) == 1 else f"{seen[0]} ..."
-            print(
-                f"hatn-sim: {predictor.name} was trained or tuned on {len(seen)} of {len(plans)} "
-                f"runs ({runs}): its errors there are too small",
-                file=sys.stderr,
-            )
+    logged = [read_run(plan.out) for plan in plans]
+    return logged, with_seen(score_runs(logged), seen)
 
 
 def _make(plans: Sequence[RunPlan], workers: int, quiet: bool) -> None:
@@ -128,11 +119,24 @@ def _plans(
                 label = f"{scenario.name}, seed {seed}"
                 yield _plan(arguments, predictors, scenario, seed, label, out)
         else:
+            _refuse_others(arguments, predictors, scenario, out)
             scenes = _recordings(arguments, scenario, scenario.recorded)
             choices = _choices(arguments, predictors, scenario, scenes)
             for name, one in scenes.items():
                 label = f"{scenario.name}, {name}"
                 yield _plan(arguments, predictors, one, None, label, out, choices.get(name))
+
+
+def _refuse_others(
+    arguments: argparse.Namespace, predictors: Sequence[Predictor], scenario: Scenario, out: Path
+) -> None:
+    """InputError where runs of other options are in the way, before lines are drawn."""
+    from hatn_sim.evaluation.runs import OF_LINES, is_there
+    from hatn_sim.recordings.each import each_recording
+
+    for name, one in each_recording(scenario, "lanes").items():
+        label = f"{scenario.name}, {name}"
+        is_there(_plan(arguments, predictors, one, None, label, out), unknown=OF_LINES)
 
 
 def _recordings(

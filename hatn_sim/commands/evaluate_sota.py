@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from hatn_sim.commands.evaluate_predictors import make_runs, said_clusters
+from hatn_sim.commands.evaluate_predictors import said_clusters, scored_runs
 from hatn_sim.commands.folders import free_or_own_folder
 
 if TYPE_CHECKING:
@@ -25,15 +25,13 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.evaluation.table import compare, entries_json, write_csv
     from hatn_sim.predictors.find import PREDICTORS, READS_WEIGHTS
     from hatn_sim.report.paper_table import paper_table
-    from hatn_sim.report.table import lines_notes, write_scores
-    from hatn_sim.score.prediction import score_runs
+    from hatn_sim.report.table import notes, write_scores
 
     if arguments.tracks is None:
         arguments.scenes = arguments.scenes or SCENES
     arguments.predictors = arguments.predictors or (*sorted(READS_WEIGHTS), *PREDICTORS)
     out = free_or_own_folder(arguments.out, "sota")
-    logged = make_runs(arguments, out)
-    scores = score_runs(logged)
+    logged, scores = scored_runs(arguments, out)
     write_scores(out, scores)
     entries = compare(SOTA, _rows(scores))
     write_csv(out / CSV_FILE, entries)
@@ -42,7 +40,7 @@ def main(arguments: argparse.Namespace) -> int:
         return 0
     console = make_console()
     console.print(paper_table(SOTA, entries, said_clusters(logged)))
-    for line in lines_notes(scores):
+    for line in notes(scores):
         console.print(line, markup=False, style="dim")
     if arguments.adapt == "none":
         print("the paper's HATN adapts online, ours does not here: --adapt mekf")

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
-    from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
+    from hatn_sim.datatypes import Advice, Frame, Predictor, Simulator
     from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import RunWriter
     from hatn_sim.loop import Driver
@@ -140,6 +140,7 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
     from hatn_sim.commands.run_header import make_header
     from hatn_sim.errors import SimulatorError
+    from hatn_sim.evaluation.seen import pieces_of, said_of_seen
     from hatn_sim.log import RunWriter
     from hatn_sim.log.choice_file import write_run_choice
     from hatn_sim.log.road_file import ROAD_FILE, write_road
@@ -171,6 +172,7 @@ def main(arguments: argparse.Namespace) -> int:
     choice = None if fitted is None else fitted.choice
     header = make_header(arguments, scenario, predictors, choice_header(fitted))
     scenario = with_lines_said(scenario, choice is not None, why)
+    seen = said_of_seen(predictors, pieces_of(scenario, arguments.seed))
     where = ""
     try:
         with closing(open_traffic(scenario)) as simulator:
@@ -188,7 +190,7 @@ def main(arguments: argparse.Namespace) -> int:
                 done = _simulate(arguments, simulator, first, predictors, drivers, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})
-        return _finish(arguments, out, done, started)
+        return _finish(arguments, out, done, started, seen)
     except KeyboardInterrupt:
         print(f"hatn-sim: interrupted{where if out.exists() else ''}", file=sys.stderr)
         return 130
@@ -308,7 +310,13 @@ def _what_if(arguments: argparse.Namespace, simulator: Simulator) -> WhatIf | No
     return WhatIf(simulator, arguments.counterfactuals, arguments.seed or 0, settings)
 
 
-def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: float) -> int:
+def _finish(
+    arguments: argparse.Namespace,
+    out: Path,
+    done: Simulated,
+    started: float,
+    learnt: Mapping[tuple[str, str], str],
+) -> int:
     from hatn_sim.commands.console import make_console
     from hatn_sim.commands.run_results import (
         draw_picture,
@@ -317,6 +325,7 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
         write_replay,
     )
     from hatn_sim.datatypes import DT_S, Kind
+    from hatn_sim.evaluation.seen import with_seen
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json, write_scores
     from hatn_sim.score.prediction import score_run
@@ -324,7 +333,7 @@ def _finish(arguments: argparse.Namespace, out: Path, done: Simulated, started: 
 
     scoring = time.monotonic()
     logged = read_run(out)
-    scores: list[Score] = score_run(logged)
+    scores = with_seen(score_run(logged), learnt)
     write_scores(out, scores)
     taken_s = done.seconds + time.monotonic() - scoring
     pictures = [] if arguments.no_picture else draw_picture(logged, out, arguments.quiet)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from hatn_sim.commands.options import add_lines_from, add_tracks, names, seconds, whole_number
 
@@ -113,13 +113,15 @@ def main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out}: expected a name that ends in .safetensors")
-    split = _split(arguments)
+    from hatn_sim.learn.train import TrainingPlan, check_free, train, weights_path
 
-    from hatn_sim.learn.train import TrainingPlan, train, weights_path
-
-    cache = _cache(arguments)
+    # What is wrong is found before lines are drawn and traffic is played.
     forms = _forms(arguments)
     start = _start(arguments, forms)
+    if arguments.sweep is None:
+        check_free(out, forms)
+    split = _split(arguments)
+    cache = _cache(arguments)
     plan = TrainingPlan(
         split=split,
         forms=forms,
@@ -145,7 +147,18 @@ def main(arguments: argparse.Namespace) -> int:
         figures = ", ".join(f"{name} {value:.4f}" for name, value in card["tune_figures"].items())
         path = weights_path(out, form)
         print(f"{path}: {card['samples']:,} samples; on the tuning traffic {figures}")
+    for doubt in _doubts(cards):
+        print(f"in doubt: {doubt}")
     return 0
+
+
+def _doubts(cards: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The first doubt about each map that was learnt from, in the words of the card."""
+    entries = [
+        entry for card in cards.values() for part in card["split"].values() for entry in part
+    ]
+    first = {entry["map"]: entry["doubts"][0] for entry in reversed(entries) if "doubts" in entry}
+    return list(first.values())
 
 
 def _split(arguments: argparse.Namespace) -> Split:
@@ -162,6 +175,7 @@ def _split(arguments: argparse.Namespace) -> Split:
     if arguments.split is not None:
         for name in sorted(given):
             raise InputError(f"--{name}: --split names all traffic; leave one of them out")
+        read_split(arguments.split, lines="lanes")  # every table, before lines are drawn for one
         with drawing_lines(arguments.cache, arguments.quiet) as drawing:
             return read_split(arguments.split, drawing)
     if arguments.tracks is None:

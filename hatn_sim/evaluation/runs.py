@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
@@ -30,6 +30,29 @@ from hatn_sim.traffic import found_out, open_traffic
 
 UNCOMPARED: Final = ("command", "settings.ids_by", "settings.doubts")
 """What of a header may differ in a run that is used again, or is known of opened traffic alone."""
+OF_LINES: Final = tuple(
+    f"settings.{name}" for name in ("tracks", "recordings", "lines_from", "choice_from")
+)
+"""What hangs on lines and on the choice among them, once they are known."""
+OPTIONS: Final = {
+    "weights_sha256": "--weights (their content is another)",
+    "trained_on": "--weights (their content is another)",
+    "adapt": "--adapt",
+    "settings.predictor": "--predictors",
+    "settings.compare": "--predictors",
+    "settings.duration_s": "--duration",
+    "settings.warm_up_s": "--warm-up",
+    "settings.lines": "--lines",
+    "settings.density": "--density",
+    "settings.risk": "--risk",
+    "settings.map": "--map",
+    "settings.lines_from": "--lines-from, or other recordings in --tracks to draw lines from",
+    "settings.choice_from": "--choice-from, or other recordings in --tracks to fit it to",
+    "settings.tracks": "--tracks",
+    "settings.recordings": "--recordings",
+    "versions": "versions of what is installed (see `hatn-sim doctor`)",
+}
+"""What of a header comes from which option of `evaluate`, the telling ones first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +86,10 @@ class Made:
     notices: tuple[str, ...]
 
 
-def is_there(plan: RunPlan) -> bool:
+def is_there(plan: RunPlan, unknown: Sequence[str] = ()) -> bool:
     """Whether the run has been made already, and finished.
+
+    `unknown`: keys of the header that are not known yet, and may differ.
 
     Raises InputError where something else is in its place.
     """
@@ -78,12 +103,15 @@ def is_there(plan: RunPlan) -> bool:
     if not there.finished:
         return False
     found, wanted = _comparable(there.header), _comparable(plan.header)
-    differing = [key for key in wanted if found.get(key) != wanted[key]]
+    differing = {
+        key: (found.get(key), value)
+        for key, value in wanted.items()
+        if key not in unknown and found.get(key) != value
+    }
     if differing:
-        key = differing[0]
         raise InputError(
-            f"{plan.out}: was made otherwise: expected {key} {wanted[key]}, found "
-            f"{found.get(key)}; choose another --out"
+            f"{plan.out}: was made with other {_option(differing)}; choose another --out, or "
+            "remove the run"
         )
     made_at = (plan.out / RUN_FILE).stat().st_mtime
     newer = [path for path in _sources(plan) if path.stat().st_mtime > made_at]
@@ -100,6 +128,18 @@ def _comparable(header: Mapping[str, Any]) -> dict[str, Any]:
         inside = value.items() if isinstance(value, dict) else [("", value)]
         flat |= {f"{key}.{name}" if name else key: each for name, each in inside}
     return {key: value for key, value in flat.items() if key not in UNCOMPARED}
+
+
+def _option(differing: Mapping[str, tuple[Any, Any]]) -> str:
+    """What a user calls the most telling of some keys of a header, with what is there and here."""
+    for known, option in OPTIONS.items():
+        for key, (there, here) in differing.items():
+            if key == known:
+                plain = all(isinstance(one, str | int | float | None) for one in (there, here))
+                return f"{option} ({there} there, {here} here)" if plain else option
+            if key.startswith(f"{known}."):
+                return option
+    return next(iter(differing)).removeprefix("settings.")
 
 
 def _sources(plan: RunPlan) -> list[Path]:

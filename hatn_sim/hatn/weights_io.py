@@ -49,6 +49,12 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
 """What each setting that is a number may be, both ends included."""
 AGAIN: Final = "train again with `hatn-sim train`"
 
+START: Final = "start"
+"""In a card: of the weights that the networks began with; None: chance."""
+LISTS: Final = ("seeds", "recordings", "runs", "sha256", "doubts")
+"""Of an entry of a card's split ..."""
+OF_CASES: Final = ("files", "cases")
+"""... and of one of its recordings, where some cases were chosen."""
 OF_LINES: Final = "line_choice."
 """Begins the names of the tensors of a choice of lines."""
 _CHOICES: Final[dict[str, LineChoice]] = {}
@@ -230,7 +236,42 @@ def _read_card(path: Path, card_path: Path) -> dict[str, Any]:
             f"weights {path}: made for other features than this version has "
             f"({', '.join(other)} differ); {AGAIN}"
         )
+    _check_made_from(card_path, card, "")
     return dict(card)
+
+
+def _check_made_from(path: Path, card: Mapping[str, Any], where: str) -> None:
+    """InputError where a card says in another form than ours what its weights were made from."""
+    split, start = card.get("split", {}), card.get(START)
+    entries = [split] if not isinstance(split, dict) else list(split.values())
+    if not all(isinstance(part, list) and all(map(_is_entry, part)) for part in entries):
+        raise InputError(
+            f"weights card {path}: {where}split: expected lists of traffic by part, as "
+            f"`hatn-sim train` writes them, found another form; restore the card or {AGAIN}"
+        )
+    if isinstance(start, dict):
+        _check_made_from(path, start, f"{where}{START}.")
+    elif start is not None:
+        raise InputError(
+            f"weights card {path}: {where}{START}: expected null or what `hatn-sim train` writes, "
+            f"found {str(start)[:40]!r}; restore the card or {AGAIN}"
+        )
+
+
+def _is_entry(entry: Any) -> bool:
+    """Whether it names traffic: seeds of a scene, recordings or runs of a site."""
+    if not isinstance(entry, dict):
+        return False
+    recordings = entry.get("recordings", [])
+    return (
+        all(isinstance(entry.get(key, []), list) for key in LISTS)
+        and all(isinstance(entry.get(key, ""), str | None) for key in ("scene", "site", "lines"))
+        and all(
+            isinstance(one, str)
+            or (isinstance(one, dict) and all(isinstance(one.get(k), list) for k in OF_CASES))
+            for one in recordings
+        )
+    )
 
 
 def _settings(path: Path, card: Mapping[str, Any], network: str, kind: type[Settings]) -> Settings:

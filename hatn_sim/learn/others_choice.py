@@ -34,7 +34,7 @@ from hatn_sim.learn.line_choice import choice_figures, fit_line_choice, right_ca
 from hatn_sim.learn.line_samples import ChoiceSamples, choice_samples, joined
 from hatn_sim.learn.sources import named, played
 from hatn_sim.learn.split import Traffic
-from hatn_sim.learn.watch import Watch
+from hatn_sim.learn.watch import Watch, counted
 from hatn_sim.line_choice import DIGITS, LineChoice
 from hatn_sim.whole_file import save_whole
 
@@ -161,7 +161,8 @@ def _gather(traffic: Sequence[Traffic], workers: int, watch: Watch) -> Any:
     """The samples of each piece, in order."""
     found: dict[int, ChoiceSamples] = {}
     tell = partial(watch.step, "choices of lines", total=len(traffic))
-    for number, samples in work_on(_cut, traffic, workers, lambda *_: None):
+    show = counted(lambda words: tell(done=len(found), words=words))
+    for number, samples in work_on(_cut, traffic, workers, show):
         found[number] = samples
         tell(done=len(found), words=f"{sum(map(len, found.values())):,} choices")
     return iter([found[number] for number in range(len(traffic))])

@@ -17,7 +17,7 @@ from hatn_sim.learn.line_choice import choice_figures, fit_line_choice, right_ca
 from hatn_sim.learn.line_samples import ChoiceSamples, choice_samples, joined
 from hatn_sim.learn.sources import named, played
 from hatn_sim.learn.split import Split, Traffic
-from hatn_sim.learn.watch import Watch
+from hatn_sim.learn.watch import Watch, counted
 from hatn_sim.line_choice import LineChoice, shipped_line_choice
 
 
@@ -66,7 +66,8 @@ def _is_of_site(traffic: Traffic) -> bool:
 def _gather(traffic: Sequence[Traffic], workers: int, watch: Watch) -> ChoiceSamples:
     found: dict[int, ChoiceSamples] = {}
     tell = partial(watch.step, "choices of lines", total=len(traffic))
-    for number, samples in work_on(_cut, traffic, workers, lambda *_: None):
+    show = counted(lambda words: tell(done=len(found), words=words))
+    for number, samples in work_on(_cut, traffic, workers, show):
         found[number] = samples
         tell(done=len(found), words=f"{sum(map(len, found.values())):,} choices")
     return joined([found[number] for number in range(len(traffic))])

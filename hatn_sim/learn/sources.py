@@ -13,7 +13,7 @@ from hatn_sim.evaluation.pool import Stopped, Teller, work_on
 from hatn_sim.learn.cache import SampleCache
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.learn.split import Traffic
-from hatn_sim.learn.watch import Watch
+from hatn_sim.learn.watch import Watch, counted
 from hatn_sim.loop import warm_up
 from hatn_sim.simulators.recorded import RecordedSimulator
 from hatn_sim.traffic import open_traffic
@@ -62,12 +62,13 @@ def gather(
 
     def tell(words: str = "") -> None:
         have = [samples for samples in found if samples is not None]
-        counted = f"{sum(map(len, have)):,} samples"
-        watch.step(f"traffic to {part}", len(have), len(traffic), f"{counted}{words}")
+        cut = f"{sum(map(len, have)):,} samples"
+        watch.step(f"traffic to {part}", len(have), len(traffic), f"{cut}{words}")
 
     tell(f", {len(traffic) - len(missing)} from the cache")
     jobs = [traffic[k] for k in missing]
-    for number, samples in work_on(_cut, jobs, workers, lambda *_: None):
+    show = counted(lambda words: tell(f", {words}"))
+    for number, samples in work_on(_cut, jobs, workers, show):
         found[missing[number]] = samples
         if (trouble := cache.store(jobs[number], samples)) is not None:
             watch.say(trouble)

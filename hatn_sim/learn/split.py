@@ -26,6 +26,9 @@ DURATION_S: Final = 600.0
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, which begins empty."""
 MOST_SHOWN: Final = 5
+CONTENT: Final = "sha256"
+DOUBTS: Final = "doubts"
+"""In an entry of a card: of its recordings' files, and what speaks against their map."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ class Traffic:
     duration_s: float | None  # None: to the end
     sources: tuple[Source, ...]
     choice: LineChoice | None = None  # of reference lines; None: the one that ships
+    doubts: tuple[str, ...] = ()  # whether its map is that of the place
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,9 +257,21 @@ def _card(part: Sequence[Traffic]) -> list[dict[str, Any]]:
         is_run = scenario.recorded.map_path is None
         kind = "runs" if is_run else "recordings"
         lines = "lanes" if scenario.recorded.drawn is None else "tracks"
-        key = (scenario.name, kind, lines)
-        entry = entries.setdefault(key, {"site": scenario.name, "lines": lines, kind: []})
+        of_map = _map_card(scenario.recorded.map_path)
+        key = (scenario.name, kind, lines, *of_map.values())
+        new = {"site": scenario.name, "lines": lines, **of_map, kind: []}
+        entry = entries.setdefault(key, new)
         cases = own_cases(scenario.recorded)
-        names = [path.resolve().name for path in own_files(scenario.recorded)]
+        files = own_files(scenario.recorded)
+        names = [path.resolve().name for path in files]
         entry[kind].append({"files": names, "cases": list(cases)} if cases else ", ".join(names))
+        if not is_run and not cases:
+            # Of pedestrians beside vehicles there may be none, in many files alike.
+            entry.setdefault(CONTENT, []).append(content_hash(files[0]))
+        if one.doubts:
+            entry.setdefault(DOUBTS, []).extend(one.doubts)
     return list(entries.values())
+
+
+def _map_card(path: Path | None) -> dict[str, str]:
+    return {} if path is None else {"map": path.name, "map_sha256": content_hash(path)}

@@ -47,8 +47,10 @@ KEYS: Final[Mapping[str, tuple[str, ...]]] = {
 LINES: Final = ("lanes", "tracks", "auto")
 
 
-def read_split(path: Path, drawing: Drawing | None = None) -> Split:
+def read_split(path: Path, drawing: Drawing | None = None, lines: str | None = None) -> Split:
     """The split that a file names; `drawing`: how its lines are drawn.
+
+    `lines`: for all recordings, whatever the file says; with "lanes" a file is soon checked.
 
     Raises InputError for every fault in it, and where it overlaps itself.
     """
@@ -59,11 +61,12 @@ def read_split(path: Path, drawing: Drawing | None = None) -> Split:
     parts: dict[str, list[Traffic]] = {}
     for name, tables in content.items():
         if not isinstance(tables, list):
-            raise InputError(f"{path}: {name}: expected tables [[{name}]], found {tables!r}")
+            found = f"[{name}]; double the brackets" if isinstance(tables, dict) else repr(tables)
+            raise InputError(f"{path}: {name}: expected tables [[{name}]], found {found}")
         parts[name] = [
             one
             for k, table in enumerate(tables, start=1)
-            for one in _traffic(path, f"{name} {k}", table, drawing)
+            for one in _traffic(path, f"{name} {k}", table, drawing, lines)
         ]
     return make_split(parts, {name: f"{path}: [[{name}]]" for name in PARTS})
 
@@ -80,7 +83,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}; correct the file") from None
 
 
-def _traffic(path: Path, where: str, table: Any, drawing: Drawing | None) -> list[Traffic]:
+def _traffic(
+    path: Path, where: str, table: Any, drawing: Drawing | None, lines: str | None
+) -> list[Traffic]:
     """The traffic of one table."""
     kind = next((key for key in KEYS if key in table), None) if isinstance(table, dict) else None
     if kind is None:
@@ -94,11 +99,12 @@ def _traffic(path: Path, where: str, table: Any, drawing: Drawing | None) -> lis
         return traffic_of_runs([str(folder / run) for run in values.texts("runs")])
     if kind == "tracks":
         patterns = [str(folder / pattern) for pattern in values.texts("tracks")]
+        asked = values.choice("lines", LINES, "auto")
         return traffic_of_tracks(
             patterns,
             folder / values.text("map"),
             values.text("recordings", ""),
-            values.choice("lines", LINES, "auto"),
+            lines or asked,
             drawing,
         )
     shipped = find_scenarios()

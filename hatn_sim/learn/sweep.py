@@ -20,7 +20,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ import numpy as np
 from hatn_sim.errors import HatnSimError, InputError, nearest
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.learn.fit import Figures, LossError
+from hatn_sim.learn.map_doubts import with_doubts
 from hatn_sim.learn.settings import SECTIONS, TrainingSettings, changed, check_key
 from hatn_sim.learn.split_file import read_toml
 from hatn_sim.learn.train import (
@@ -144,6 +145,7 @@ def run_sweep(
     done = _read_done(done_path, mark)
     if all(_line_of(values) in done for values in wanted):
         return [done[_line_of(values)] for values in wanted]
+    plan = replace(plan, split=with_doubts(plan.split, watch))
     learn, tune = collect(choosing(plan, fit_lines(plan, watch)), watch)
     known: dict[object, tuple[SemanticGraphNetwork, Figures]] = {}
 

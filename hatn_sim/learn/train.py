@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.inputs import Float32Array
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.weights_io import (
+    START,
     Weights,
     choice_of,
     choice_tensors,
@@ -35,6 +36,7 @@ from hatn_sim.learn import edn_training
 from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.dataset import Samples
 from hatn_sim.learn.fit import Figures, FitSettings, LossError, Workplace, fit
+from hatn_sim.learn.map_doubts import with_doubts
 from hatn_sim.learn.settings import TrainingSettings
 from hatn_sim.learn.sgn_training import Fit, predicted_profiles, train_sgn
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
@@ -49,8 +51,6 @@ PLAN_FILE: Final = "plan.json"
 LINES: Final = "line_choice"
 """In plan and card: of the choice of lines fitted to the sites; None: that which ships."""
 LINES_FILE: Final = "line_choice.safetensors"
-START: Final = "start"
-"""In a card: of the weights that the networks began with; None: chance."""
 STOPPED: Final = "stopped"
 """In a card: how the loss was lost; the weights are those of an epoch before."""
 STARTED_FORM: Final = "hatn"
@@ -87,6 +87,7 @@ def train(plan: TrainingPlan, out: Path, watch: Watch | None = None) -> dict[str
     watch = watch or Nobody()
     place = replace(begin_work(plan, out, watch), progress=progress_folder(out))
     going_on = _goes_on(plan, out)
+    plan = replace(plan, split=with_doubts(plan.split, watch))
     site = _kept_choice(out) if going_on else fit_lines(plan, watch)
     learn, tune = collect(choosing(plan, site), watch)
     if not going_on:
@@ -242,13 +243,20 @@ def _goes_on(plan: TrainingPlan, out: Path) -> bool:
                 "begin anew, or choose another --out"
             )
         return True
-    for form in plan.forms:
+    check_free(out, plan.forms)
+    return False
+
+
+def check_free(out: Path, forms: Iterable[str]) -> None:
+    """InputError where files are in the way of a training's, unless it is one that goes on."""
+    if (progress_folder(out) / PLAN_FILE).is_file():
+        return
+    for form in forms:
         for taken in (weights_path(out, form), weights_path(out, form).with_suffix(".json")):
             if taken.exists():
                 raise InputError(
                     f"--out {out}: {taken.name} exists already; choose another name or remove it"
                 )
-    return False
 
 
 def _finished_card(path: Path) -> dict[str, Any] | None:
@@ -362,6 +370,7 @@ def _card(
     return {
         "made_by": f"hatn-sim {hatn_sim.__version__}",
         "command": plan.command,
+        "command_of_files": "their names alone: folders are left out, put yours before them",
         "form": form,
         "split": plan.split.card(),
         START: None if plan.start is None or form != STARTED_FORM else _start_card(plan.start),

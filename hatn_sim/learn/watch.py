@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 
@@ -13,6 +14,17 @@ class Watch(Protocol):
         ...
 
     def say(self, line: str) -> None: ...
+
+
+def counted(tell: Callable[[str], object]) -> Callable[[int, int], None]:
+    """Takes the number of a piece of traffic and its steps; tells how many all have."""
+    steps: dict[int, int] = {}
+
+    def show(number: int, done: int) -> None:
+        steps[number] = done
+        tell(f"{sum(steps.values()):,} steps played")
+
+    return show
 
 
 class Nobody:

@@ -52,12 +52,14 @@ SLOTS = (
 SPREADS = ("min_ade_3s", "miss_rate_2m", "goal_coverage_50", "goal_coverage_90", "slot_brier")
 SUBSETS = {"all": "all samples", "moving": "moving samples (more than 1 m in 3 s)"}
 NONE = "-"
+IF_SAID = ("lines", "seen")
+"""Fields that are left out where there is nothing to say."""
 
 
 def scores_json(scores: Sequence[Score]) -> str:
     """A JSON list of objects with the fields of `Score`; no value is null, with n = 0."""
     rows = [asdict(score) for score in scores]
-    told = [{key: v for key, v in row.items() if key != "lines" or v} for row in rows]
+    told = [{key: v for key, v in row.items() if key not in IF_SAID or v} for row in rows]
     return json.dumps(told, indent=2, allow_nan=False)
 
 
@@ -92,14 +94,22 @@ def score_table(scores: Sequence[Score], clustered_over: str = "vehicles") -> Gr
         note += f"; x ratio to {BASELINE.replace('_', ' ')}"
     if any(score.predictor.endswith("+route") for score in scores):
         note += "; +route: given the simulator's routes, an upper bound"
-    parts += [Text(line, style="dim") for line in (*lines_notes(scores), note)]
+    parts += [Text(line, style="dim") for line in (*notes(scores), note)]
     return Group(*parts)
 
 
-def lines_notes(scores: Sequence[Score]) -> list[str]:
-    """A line for each scene of recorded tracks: what lines follow, and what chose among them."""
+def notes(scores: Sequence[Score]) -> list[str]:
+    """What tables of the scores cannot do without.
+
+    A line for each network that is judged on what it learnt from, and one for each scene of
+    recorded tracks: what lines follow, and what chose among them.
+    """
+    seen = {(score.scene, score.predictor): score.seen for score in scores if score.seen}
     told = {score.scene: score.lines for score in scores if score.lines}
-    return [f"{scene}: {lines}" for scene, lines in told.items()]
+    return [
+        *(f"{scene}: {predictor} {words}" for (scene, predictor), words in seen.items()),
+        *(f"{scene}: {lines}" for scene, lines in told.items()),
+    ]
 
 
 def _error_table(scene: str, subset: str, scores: Sequence[Score]) -> Table:

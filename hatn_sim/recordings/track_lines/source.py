@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.config import DrawnLines, RecordedSource, Scenario
+from hatn_sim.content import content_hash
 from hatn_sim.datatypes import Lane
 from hatn_sim.errors import InputError
 from hatn_sim.recordings.fit import check_place
@@ -56,7 +57,8 @@ def with_track_lines(
 ) -> Scenario:
     """The scene with lines drawn from the tracks of other recordings among its files.
 
-    Those that the scene shows are left out if they are among `others`. With "auto" the scene keeps
+    Those that the scene shows are left out if they are among `others`, copies of their files under
+    other names as well. With "auto" the scene keeps
     the lanes of its map, and says so in a notice, where there is too little to draw lines from;
     what are no INTERACTION tracks stays as it is. With "lanes" nothing changes. Lines drawn once
     from the same files are kept, and beyond this process where `drawing` says.
@@ -74,9 +76,14 @@ def with_track_lines(
     reason = _why_not(source)
     if reason:
         raise InputError(f"{source.tracks[0]}: {reason}; leave --lines-from tracks out")
-    shown = {one.name for one in group_files(source.tracks, source.recordings)}
-    wanted = set(others) - shown
-    by_others = [one for one in group_files(source.tracks, ()) if one.name in wanted]
+    shown = group_files(source.tracks, source.recordings)
+    wanted = set(others) - {one.name for one in shown}
+    own = {content_hash(one.paths[0]) for one in shown}  # of vehicles; pedestrians may be none
+    by_others = [
+        one
+        for one in group_files(source.tracks, ())
+        if one.name in wanted and content_hash(one.paths[0]) not in own
+    ]
     assert source.map_path is not None
     drawn = _drawn(
         tuple(by_others), _stamps(by_others), _stamp(source.map_path), drawing or Drawing()
