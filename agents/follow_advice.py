@@ -1,4 +1,8 @@
-"""Drives as the suggestions say; the simulator's driver does where they are silent."""
+"""Drives as the suggestions say; the simulator's driver does where they are silent.
+
+While it drives, SUMO's own checks of gaps and right of way are off (speed mode 32): whether the
+advice is safe is up to the advice.
+"""
 
 from __future__ import annotations
 

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import crossing_lanes, scene_of
+from conftest import crossing_lanes, lane, scene_of
 
+from hatn_sim.assist.choice import Told
+from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.assist.outlook import in_the_way, look_ahead
-from hatn_sim.assist.suggest import SuggestionState, Told, suggest
+from hatn_sim.assist.suggest import SuggestionState, suggest
 from hatn_sim.assist.words import names
 from hatn_sim.datatypes import Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
@@ -25,13 +27,19 @@ def moment(
     vehicles: dict[str, tuple[float, float, float, float]], chances: dict[str, list[float]]
 ) -> tuple[Scene, Prediction]:
     """A scene at the hand-drawn crossing, predicted at constant velocity, with given slots."""
-    state = begin(ROAD)
+    return moment_of(ROAD, scene_of(0.0, vehicles), chances)
+
+
+def moment_of(
+    road: Road, scene: Scene, chances: dict[str, list[float]] | None = None
+) -> tuple[Scene, Prediction]:
+    state = begin(road)
     for frame in range(3):
-        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
-    scene, graphs = state.seen.scene, build_graphs(ROAD, state.seen)
+        state = perceive(state, replace(scene, time_s=0.1 * frame), None)
+    scene, graphs = state.seen.scene, build_graphs(road, state.seen)
     probability = np.zeros(graphs.node_mask.shape)
     for e, ego in enumerate(graphs.ego.tolist()):
-        given = chances.get(scene.ids[ego], [1.0])
+        given = (chances or {}).get(scene.ids[ego], [1.0])
         probability[e, : len(given)] = given
     count = len(scene.ids)
     return scene, Prediction(
@@ -124,7 +132,7 @@ def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
 
 @pytest.mark.parametrize("frames", [1, 5, 6])
 def test_a_safe_pass_is_taken_back_by_silence_after_half_a_second_of_doubt(frames: int) -> None:
-    told = SuggestionState({"ego": Told("other", "pass", True)})
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
     _, found = advise(OPEN, [0.9, 0.1], told, frames)
     assert found.action == ("abstain" if frames == 6 else "pass")
 
@@ -141,19 +149,62 @@ def test_a_yield_is_never_followed_by_a_pass_before_the_same_vehicle() -> None:
 
 
 def test_advice_stands_while_another_slot_is_a_little_better() -> None:
-    told = SuggestionState({"ego": Told("other", "pass", True)})
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
     assert advise(OPEN, [0.65, 0.35], told, 20)[1].action == "pass"
     assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "abstain"
 
 
 def test_an_unsafe_pass_is_taken_back_at_once() -> None:
-    told = SuggestionState({"ego": Told("other", "pass", True)})
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
     assert advise(NEAR, [0.1, 0.9], told)[1].action == "yield"
+
+
+@pytest.mark.parametrize(("speed_mps", "expected"), [(0.0, "abstain"), (1.0, "yield")])
+def test_nothing_is_said_to_two_who_wait_for_each_other(speed_mps: float, expected: str) -> None:
+    # Either stands a metre before the area, and may be 4 m farther in 3 s.
+    waiting = {"ego": (0.0, -4.5, NORTH, 0.0), "other": (-4.5, 0.0, 0.0, speed_mps)}
+    scene, prediction = moment(waiting, {"ego": [0.02, 0.98]})
+    one = np.ones((len(scene.ids), 1))
+    prediction = replace(prediction, goal_weight=one, goal_mean_m=4.0 * one, goal_std_m=0.1 * one)
+    state = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    for frame in range(9):
+        now = replace(scene, time_s=0.1 * frame)
+        state, _ = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+    now = replace(scene, time_s=0.9)
+    _, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+    assert found.action == expected
+
+
+@pytest.mark.parametrize(("chance", "passes"), [(0.9, False), (0.98, True)])
+def test_only_a_sure_pass_is_advised_where_somebody_might_plausibly_hurry(
+    chance: float, passes: bool
+) -> None:
+    # The ego is out after 33.5 m, 3 s. The other comes after 21.5 m at 3 m/s, 7 s; one in five
+    # times it is 24 m farther in 3 s, and comes before that.
+    hurry = {"ego": (0.0, -30.0, NORTH, 10.0), "other": (-25.0, 0.0, 0.0, 3.0)}
+    scene, prediction = moment(hurry, {"ego": [1.0 - chance, chance]})
+    goals = np.tile([[0.8, 0.2]], (2, 1)), np.tile([[9.0, 24.0]], (2, 1)), np.full((2, 2), 0.1)
+    weight, mean, std = goals
+    prediction = replace(prediction, goal_weight=weight, goal_mean_m=mean, goal_std_m=std)
+    _, (found,) = suggest(SuggestionState(), ROAD, scene, prediction, frozenset({"ego"}))
+    assert (found.action == "pass") == passes
+
+
+def test_a_yield_that_comes_too_late_for_a_driver_to_react_is_not_begun() -> None:
+    # 10 m/s, 16 m to the area: 3.1 m/s^2 to stop from now, 8 after a second of reacting. The
+    # other comes in after 35 m, 4.4 s, when the ego is out.
+    late = {"ego": (0.0, -19.5, NORTH, 10.0), "other": (-38.5, 0.0, 0.0, 8.0)}
+    assert advise(late, [0.9, 0.1])[1].action == "abstain"
+    told = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    assert advise(late, [0.9, 0.1], told)[1].action == "yield"
 
 
 @pytest.mark.parametrize(("margin", "expected"), [(0.35, "abstain"), (0.45, "yield")])
 def test_advice_begins_with_a_clear_lead_only(margin: float, expected: str) -> None:
-    for before in (SuggestionState(), SuggestionState({"ego": Told("ego", "abstain", True)})):
+    for before in (
+        SuggestionState(),
+        SuggestionState({"ego": Told("ego", "other", "abstain", True)}),
+    ):
         chance = [0.5 + margin / 2, 0.5 - margin / 2]
         assert advise(TWO, chance, before)[1].action == expected
 
@@ -176,6 +227,42 @@ def test_whoever_has_its_nose_inside_is_not_asked_to_stop_there() -> None:
     _, told = advise(vehicles, [0.95, 0.05])
     # It is out after 5.5 m, and the other comes in after 8.5 m.
     assert told.action == "pass" and min(told.profile_mps) > 7.9
+
+
+@pytest.mark.parametrize("length_m", [5.0, 9.0])
+def test_room_is_kept_for_a_body_that_cuts_its_corner(length_m: float) -> None:
+    southbound = lane("ns", [(-4, 60), (-4, -60)], is_connection=True)
+    road = Road([one for one in crossing_lanes() if one.id != "we"] + [southbound])
+    at = {"ego": (-4.0, 25.0, -NORTH, 5.0), "truck": (-16.0, 0.0, 0.0, 4.0)}
+    scene = scene_of(0.0, at, blinker=1)
+    scene.size_m[1, 0] = length_m
+    scene, prediction = moment_of(road, scene)
+    outlook = look_ahead(road, scene, prediction)
+    row = int(np.flatnonzero(outlook.graphs.ego == 0)[0])
+    node = int(outlook.graphs.node_mask[row].nonzero()[0][-1])
+    # Its bumpers follow the line, west to north in a quarter circle of 8 m: the body is a chord.
+    turn = np.linspace(0.0, np.pi / 2, 400)
+    way = np.array(
+        [(-30.0, 0.0), *zip(-8.0 + 8.0 * np.sin(turn), 8.0 - 8.0 * np.cos(turn), strict=True)]
+    )
+    way = np.concatenate((way, [(0.0, 30.0)]))
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))))
+    front_s = np.linspace(12.0, 60.0, 500)
+    front, rear = (
+        np.stack([np.interp(s, along, way[:, k]) for k in (0, 1)], axis=1)
+        for s in (front_s, front_s - length_m)
+    )
+    heading = np.arctan2(*(front - rear).T[::-1])
+    swept = Boxes(0.5 * (front + rear), heading, np.tile([length_m, 2.0], (500, 1)))
+
+    def touches(y_m: float) -> bool:
+        here = Boxes(
+            np.tile([-4.0, y_m], (500, 1)), np.full(500, -NORTH), np.tile([5.0, 2.0], (500, 1))
+        )
+        return bool(overlap(swept, here).any())
+
+    room_m = next(25.0 - y for y in np.arange(25.0, 0.0, -0.05) if touches(float(y)))
+    assert room_m - 1.0 < outlook.room_m[row, node] < room_m + 0.1
 
 
 @pytest.mark.parametrize(

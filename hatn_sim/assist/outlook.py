@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.pairs import Pairs, area_m, at_conflicts
+from hatn_sim.assist.pairs import LEAST_ANGLE_RAD, Pairs, area_m, at_conflicts
 from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
@@ -37,6 +37,7 @@ from hatn_sim.datatypes import (
     Scene,
     SemanticGraphs,
 )
+from hatn_sim.geometry import wrap_angle
 from hatn_sim.graph import AHEAD_AT_M, CONTEXT
 from hatn_sim.road import Road
 from hatn_sim.speed_profile import LATERAL_MPS2
@@ -89,7 +90,8 @@ def look_ahead(
     to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
     point_s = lines.s_m[index] + to_point
     half, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
-    room, clear = to_point - half, to_point + half
+    near, far = _cut_m(road, scene, index, lines.line[index], point_s)
+    room, clear = to_point - half - near, to_point + half + far
     ego, other = index.T
 
     def by_node(of_pair: FloatArray) -> FloatArray:
@@ -112,6 +114,37 @@ def look_ahead(
         taken_m=taken_m,
         taken_s=taken_s,
     )
+
+
+def _cut_m(
+    road: Road, scene: Scene, index: IntArray, line: IntArray, point_s_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How much longer areas [Q, 2] are, at their near and at their far end, as the other turns.
+
+    A body of length l is a chord of its way: in a bend it is up to l^2 k / 8 inside of the line,
+    where k is the curvature. Areas are those of straight strips: that the strip bends takes about
+    as much again, from whoever comes from that side.
+    """
+    length = scene.size_m[index, 0]
+    yaw = np.stack(
+        [
+            road.line_yaw_rad(line[:, k], point_s_m[:, k, None] + length[:, k, None] * _ALONG)
+            for k in (0, 1)
+        ],
+        axis=1,
+    )
+    turned = wrap_angle(yaw[..., 2:] - yaw[..., :-2])  # each while one length is driven
+    sharpest = np.abs(turned).argmax(axis=-1)[..., None]
+    inside = 0.25 * length * np.take_along_axis(turned, sharpest, axis=-1)[..., 0]  # left positive
+    apart = wrap_angle(yaw[:, 1, 2] - yaw[:, 0, 2])
+    slant = np.maximum(np.abs(np.sin(apart)), np.sin(LEAST_ANGLE_RAD))
+    # The first comes from the left of the second where it heads to the right of it.
+    from_left = np.stack((np.sign(apart), -np.sign(apart)), axis=1)
+    towards = inside[:, ::-1] * from_left / slant[:, None]
+    return np.maximum(towards, 0.0), np.maximum(-towards, 0.0)
+
+
+_ALONG: Final = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
 def _taken(
@@ -269,7 +302,8 @@ def _leaders(
     """
     graphs, scene = outlook.graphs, outlook.scene
     ego, leader = graphs.ego[row], graphs.leader[row]
-    travel, speed = travel_at(outlook.travelled_m, time_s)
+    # Nobody knows what they do beyond the horizon: the ego is to manage if they slow down.
+    travel, speed = travel_at(outlook.travelled_m, time_s, SLOWING_MPS2)
     there = (leader >= 0)[:, None]
     ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
     ahead_mps = np.where(there, speed[leader], 0.0)
@@ -292,14 +326,26 @@ def _leaders(
     return np.where(nearer, nearest_m, ahead), np.where(nearer, nearest_mps, ahead_mps)
 
 
-def travel_at(travelled_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Path length [N, G] and speed [N, G] at times [G], from frames [N, F]; at the last speed
-    beyond them."""
+def travel_at(
+    travelled_m: FloatArray, time_s: FloatArray, slowing_mps2: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Path length [N, G] and speed [N, G] at times [G], from frames [N, F].
+
+    Beyond them at the last speed, or slowing down evenly from it.
+    """
     path = np.concatenate((np.zeros((len(travelled_m), 1)), travelled_m), axis=1)
     step = np.diff(path, axis=1)
     frame = time_s / DT_S
     low = np.minimum((frame + 1e-9).astype(np.int64), HORIZON_FRAMES - 1)
-    return path[:, low] + (frame - low) * step[:, low], step[:, low] / DT_S
+    way, speed = path[:, low] + (frame - low) * step[:, low], step[:, low] / DT_S
+    if slowing_mps2:
+        beyond_s = np.maximum(time_s - DT_S * HORIZON_FRAMES, 0.0)
+        lost_mps = np.minimum(slowing_mps2 * beyond_s, speed)
+        # Whoever has come to a stand has driven v^2 / 2b, not v t - b t^2 / 2.
+        driving_s = lost_mps / slowing_mps2
+        way = way - speed * (beyond_s - driving_s) - 0.5 * slowing_mps2 * driving_s**2
+        speed = speed - lost_mps
+    return way, speed
 
 
 def pass_margins_s(

@@ -1,36 +1,34 @@
 """Slot probabilities -> one suggestion for every ego that has a choice (METHOD section 7).
 
-The probabilities say what people would do. The advice is the same, unless that is unsafe (somebody
-may plausibly enter the area before the ego is out of it) or asks for more than comfort.
+Which slot that is, `choice` says; here it gets its words and its profile, and what was told is
+remembered.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.outlook import (
-    NOSE_M,
-    Outlook,
-    approaches,
-    in_the_way,
-    look_ahead,
-    pass_margins_s,
+from hatn_sim.assist.choice import (
+    ROUNDING_S,
+    STANDING_MPS,
+    Chosen,
+    Likely,
+    Options,
+    Told,
+    choose,
+    first_of_others,
+    likely_slots,
+    weigh_options,
 )
+from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
-from hatn_sim.assist.profile import (
-    COMFORT_BRAKING_MPS2,
-    KNOT_AT_S,
-    SHORT_M,
-    Profiles,
-    drive,
-)
+from hatn_sim.assist.profile import Profiles, drive
 from hatn_sim.assist.words import names, words
 from hatn_sim.datatypes import (
-    BoolArray,
     FloatArray,
     Front,
     IntArray,
@@ -41,41 +39,9 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.road import Road
 
-SPEAK_MARGIN: Final = 0.4
-"""Advice begins where the best slot leads the next by this much ..."""
-NEAR_S: Final = 4.0
-NEAR_M: Final = 20.0
-"""Nor does it begin farther than either from the conflict, at the present speed."""
-SILENT_MARGIN: Final = -0.4
-"""... and is doubted where another leads the one advised by this much."""
-DOUBT_S: Final = 0.5
-"""Advice that is doubted for so long changes; at once where it would be unsafe."""
-PASS_MARGIN_S: Final = 0.3
-"""A pass is advised where the ego is out so long before anybody may plausibly come in ..."""
-KEEP_MARGIN_S: Final = 0.0
-"""... and stays advised while it is out before, or could still be given up."""
-WAIT_KNOT: Final = 2
-"""Whoever can still stop in comfort after so many knots of a pass need not give it up yet."""
 PAUSE_S: Final = 1.0
 """Who has no choice for longer than this has another encounter then."""
-FEASIBLE_BAND: Final = 0.15
-"""A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
-ROUNDING_S: Final = 1e-6
-HORIZON_S: Final = float(KNOT_AT_S[-1])
 AT_LINE_M: Final = 3.0
-STANDING_MPS: Final = 0.3
-
-
-@dataclass(frozen=True)
-class Told:
-    """What an ego was told last."""
-
-    slot_id: str  # the rear vehicle of the slot: the ego itself for a yield
-    action: str
-    feasible: bool
-    doubted_s: float | None = None  # since when another slot would have been advised
-    said: frozenset[tuple[str, str]] = frozenset()  # (action, other vehicle) of all that was said
-    time_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -116,14 +82,15 @@ def suggest(
     egos_now = [scene.ids[v] for v in graphs.ego[row].tolist()]
     before = [recent.get(name) for name in egos_now]
     outlook = look_ahead(road, scene, prediction, pairs)
-    likely = _likely(scene, graphs, chances, row, before)
+    likely = likely_slots(scene, graphs, chances, row, before)
     has_stopped = np.array([name in stopped for name in egos_now])
-    options = _options(outlook, row, likely, has_stopped)
-    chosen = _choose(outlook, row, likely, options, before)
+    options = weigh_options(outlook, row, likely, has_stopped)
+    chosen = choose(outlook, row, likely, options, before)
     out = _suggestions(outlook, row, likely, options, chosen)
     told = recent | {
         one.ego_id: Told(
             scene.ids[graphs.rear[e, m]],
+            one.slot_id or "",
             one.action,
             one.feasible,
             doubted_s,
@@ -163,16 +130,6 @@ def slot_profiles(
     return drive(approaches(outlook, row, slot, first, has_stopped, start_s)[0])
 
 
-def first_of_others(focus_mask: BoolArray, chances: FloatArray) -> IntArray:
-    """The node [R] of whoever is most probably the first of the others at the focus.
-
-    The chance to pass before j is that of the ego being first and j the first of the others.
-    """
-    others = np.where(focus_mask, chances, -1.0)
-    others[:, 0] = -1.0
-    return others.argmax(axis=1)
-
-
 def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs) -> frozenset[str]:
     """Who has stood at the stop line ahead: told once, until the line is behind."""
     line = graphs.front_type[:, 0] == Front.STOP
@@ -184,194 +141,8 @@ def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs
     return frozenset(now)
 
 
-@dataclass(frozen=True, eq=False)
-class _Chances:
-    """Probabilities of the slots of each ego [R]."""
-
-    of: FloatArray  # [R, M], -1 where there is no slot
-    best: IntArray  # [R]
-    second: FloatArray  # [R] of the best but one
-
-    def margin(self, slot: IntArray) -> FloatArray:
-        """[R] by which slots [R] lead the best of the others."""
-        rows = np.arange(len(slot))
-        others = np.where(slot == self.best, self.second, self.of[rows, self.best])
-        return np.asarray(self.of[rows, slot] - others)
-
-
-def _chances(focus_mask: BoolArray, chances: FloatArray) -> _Chances:
-    of = np.where(focus_mask, chances, -1.0)
-    best = of.argmax(axis=1)
-    others = of.copy()
-    others[np.arange(len(of)), best] = -1.0
-    return _Chances(of, best, others.max(axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class _Likely:
-    """The slot that each ego [R] is to take if nothing speaks against it."""
-
-    chances: _Chances
-    first: IntArray  # [R] the node of whoever is most probably the first of the others
-    told: IntArray  # [R] the slot told before, -1: none, or it is gone
-    slot: IntArray  # [R]
-    speaks: BoolArray  # [R] clearly enough to say so
-    passed: BoolArray  # [R] was told to pass in this encounter
-
-
-def _likely(
-    scene: Scene,
-    graphs: SemanticGraphs,
-    slot_probability: FloatArray,
-    row: IntArray,
-    before: Sequence[Told | None],
-) -> _Likely:
-    """The slot told before, until another is clearly more probable."""
-    focus = graphs.focus_mask[row]
-    chances = _chances(focus, slot_probability[row])
-    index = {name: v for v, name in enumerate(scene.ids)}
-    rear = [
-        -2 if told is None or told.action == "abstain" else index.get(told.slot_id, -2)
-        for told in before
-    ]
-    same = focus & (graphs.rear[row] == np.array(rear)[:, None])
-    first = first_of_others(focus, slot_probability[row])
-    told = np.where(same.any(axis=1), same.argmax(axis=1), -1)
-    stands = (told >= 0) & (chances.margin(np.maximum(told, 0)) > SILENT_MARGIN)
-    slot = np.where(stands, told, chances.best)
-    speed = scene.speed_mps[graphs.ego[row]]
-    near = graphs.ego_to_conflict_m[row, 0] <= np.maximum(NEAR_S * speed, NEAR_M)
-    speaks = stands | ((told >= 0) | near) & (chances.margin(slot) >= SPEAK_MARGIN)
-    passed = np.array(
-        [one is not None and any(action == "pass" for action, _ in one.said) for one in before]
-    )
-    return _Likely(chances, first, told, slot, speaks, passed | (told > 0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Options:
-    """What becomes of each ego [R] if it yields, or passes first of all.
-
-    A pass is driven only where it is in question; elsewhere its margins are minus infinity.
-    """
-
-    driven: Profiles  # [R + P] all yields, then the passes
-    of_pass: IntArray  # [R] the row in `driven`, of the yield where no pass is driven
-    open_s: FloatArray  # [R] when the way is open on a yield
-    let_go: IntArray  # [R] how many go first then
-    stays_out: BoolArray  # [R] on a yield, if need be by braking hard
-    can_wait: BoolArray  # [R] a pass can still be given up for a while, in comfort
-    margin_s: FloatArray  # [R] of the pass, at the earliest plausible entry of anybody
-    likely_margin_s: FloatArray  # [R] of the pass, at the predicted one
-
-
-def _options(outlook: Outlook, row: IntArray, likely: _Likely, stopped: BoolArray) -> _Options:
-    graphs, count = outlook.graphs, len(row)
-    group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
-    still_ahead = group & ~in_the_way(outlook, row)
-    has_begun = ~still_ahead.any(axis=1)
-    room_m = np.where(group, outlook.room_m[row], np.inf).min(axis=1)
-    speed = outlook.scene.speed_mps[graphs.ego[row]]
-    asks = (likely.slot > 0) | likely.passed | has_begun | ~_stops(speed, room_m)
-    passing = np.flatnonzero(asks)
-    # Whoever it is passed before, the ego drives as fast as it may.
-    which = np.concatenate((np.arange(count), passing))
-    slot = np.concatenate((np.zeros(count, dtype=np.int64), likely.first[passing]))
-    approach, open_s = approaches(outlook, row[which], slot, likely.first[which], stopped[which])
-    driven = drive(approach)
-    yields, passes = driven.of(np.arange(count)), driven.of(np.arange(count, len(which)))
-    area_m, opens = (of[:count, : group.shape[1]] for of in (approach.area_m, approach.open_s))
-    # At the focus: what is further on can be seen to when this is behind.
-    ahead = group & np.isfinite(area_m)
-    enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + NOSE_M, np.inf))
-    margin, likely_margin = np.full((2, count), -np.inf)
-    margin[passing], likely_margin[passing] = pass_margins_s(outlook, row[passing], passes)
-    left_m = room_m[passing] - passes.travelled_m[:, WAIT_KNOT]
-    can_wait = ~asks
-    can_wait[passing] = _stops(passes.speed_mps[:, WAIT_KNOT], left_m)
-    of_pass = np.arange(count)
-    of_pass[passing] = np.arange(count, len(which))
-    return _Options(
-        driven=driven,
-        of_pass=of_pass,
-        open_s=open_s[:count],
-        let_go=ahead.sum(axis=1),
-        stays_out=(enters_s >= np.minimum(opens, HORIZON_S) - 0.1).all(axis=1) & ~has_begun,
-        can_wait=can_wait,
-        margin_s=margin,
-        likely_margin_s=likely_margin,
-    )
-
-
-def _stops(speed_mps: FloatArray, room_m: FloatArray) -> BoolArray:
-    """Whether one can stop in comfort, a little before the end of the room."""
-    left_m = np.maximum(room_m - SHORT_M, 0.05)
-    return np.asarray(speed_mps**2 <= 2.0 * COMFORT_BRAKING_MPS2 * left_m)
-
-
-@dataclass(frozen=True, eq=False)
-class _Chosen:
-    """What each ego [R] is advised."""
-
-    slot: IntArray
-    other: IntArray  # the vehicle to pass before, or the first to let go
-    speaks: BoolArray
-    feasible: BoolArray
-    doubted_s: tuple[float | None, ...]  # since when another slot would have been advised
-
-
-def _choose(
-    outlook: Outlook,
-    row: IntArray,
-    likely: _Likely,
-    options: _Options,
-    before: Sequence[Told | None],
-) -> _Chosen:
-    """The likely slot, if it is safe; once told, a slot stays for as long as it can.
-
-    Nothing is said of a pass that is not safe yet, while there is time to wait and see. Advice is
-    taken back by silence, not by its opposite: but for a pass that is not safe any more.
-    """
-    was_feasible = np.array([told is None or told.feasible for told in before])
-    now_s = outlook.scene.time_s
-    since = [None if told is None else told.doubted_s for told in before]
-    since_s = np.array([now_s if one is None else one for one in since])
-    told = likely.told
-    safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
-    safe |= likely.passed & options.can_wait
-    band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
-    braking = options.driven.braking_mps2[: len(row)]
-    gentle = options.stays_out & (braking <= COMFORT_BRAKING_MPS2 * band)
-    # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
-    may_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
-    wants_pass = likely.slot > 0
-    passes = np.where(wants_pass, may_pass, ~options.stays_out)
-    slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
-    slot = np.where(likely.speaks, slot, likely.slot)
-    waits = wants_pass & (told < 0) & ~may_pass & options.can_wait
-    holds = (told >= 0) & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
-    holds &= np.where(told > 0, may_pass, options.stays_out)
-    slot = np.where(holds, told, slot)
-    doubted = tuple(
-        one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
-    )
-    goes = slot > 0
-    other = outlook.graphs.rear[row, np.where(goes, slot, likely.first)]
-    opposite = ["yield" if one else "pass" for one in goes.tolist()]
-    names_of = [outlook.scene.ids[v] for v in other.tolist()]
-    contradicts = np.array(
-        [
-            told is not None and pair in told.said
-            for told, pair in zip(before, zip(opposite, names_of, strict=True), strict=True)
-        ]
-    )
-    waits |= contradicts & (goes | safe)
-    speaks = (likely.speaks | holds) & ~waits
-    return _Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
-
-
 def _suggestions(
-    outlook: Outlook, row: IntArray, likely: _Likely, options: _Options, chosen: _Chosen
+    outlook: Outlook, row: IntArray, likely: Likely, options: Options, chosen: Chosen
 ) -> tuple[Suggestion, ...]:
     graphs, scene = outlook.graphs, outlook.scene
     rows, goes = np.arange(len(row)), chosen.slot > 0
