@@ -31,7 +31,7 @@ TRACKS_FILE = "vehicle_tracks_000.csv"
 QUIET = ["--no-picture", "--quiet", "--json", "--assist"]
 RUN = ["run", SCENE, "--seed", "301", "--warm-up", str(WARM_UP_S), *QUIET]
 END, ONSET = ORDERED[0]
-WORRIED = {ONSET: 0.1, END: 0.05}
+WORRIED: dict[str, Any] = {ONSET: 0.1, END: 0.05}
 """Settings, so that there are alerts."""
 
 
