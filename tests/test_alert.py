@@ -11,7 +11,7 @@ from conftest import crossing_lanes, scene_of
 
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.baselines import RULES
-from hatn_sim.assist.danger import hatn_rule, kept_travel_m
+from hatn_sim.assist.danger import hatn_rule
 from hatn_sim.assist.moment import DEVIATION, TYPES, Moment, PairDangers, Recent
 from hatn_sim.assist.settings import AssistSettings, read_assist_settings
 from hatn_sim.datatypes import Alert, Prediction
@@ -23,7 +23,8 @@ from hatn_sim.road import Road
 from hatn_sim.score.dangers import DangerRecorder, alerts_at
 
 NORTH = np.pi / 2
-WHY = "both come to one place at once, and neither gives way in comfort"
+SETTINGS = AssistSettings()
+WHY = "likely to collide or to brake hard within 5 s"
 
 
 def moment(
@@ -61,41 +62,15 @@ def moment(
     return Moment(state.road, seen, prediction, prediction)
 
 
-def test_two_who_go_on_into_each_other_are_in_danger() -> None:
-    found = hatn_rule(moment((20.0, 9.0, 0.0), (20.0, 9.0, 0.0)))
-    assert {*found.first.tolist(), *found.second.tolist()} == {0, 1}
-    # After 1 s both are 7.5 m before the area at 9 m/s; the other is out of it 14.5 m later.
-    t = 14.5 / 9.0
-    np.testing.assert_allclose(found.danger, [2.0 * (9.0 * t - 7.5) / t**2], rtol=0.03)
+def test_danger_grows_as_they_come_nearer_and_ends_where_one_gives_way() -> None:
+    def danger(east: tuple[float, float, float], north: tuple[float, float, float]) -> float:
+        return float(hatn_rule(moment(east, north)).danger.sum())
 
-
-def test_two_who_set_off_at_once_are_in_danger_though_they_can_stop() -> None:
-    # After 1 s both are 3.5 m before the area at 4 m/s, and 2.3 m/s2 would do to stop.
-    found = hatn_rule(moment((10.0, 2.0, 2.0), (10.0, 2.0, 2.0)))
-    np.testing.assert_allclose(found.danger, [0.75 * (2.0 + 2.0)], rtol=0.01)
-    assert hatn_rule(moment((10.0, 2.0, 2.0), (10.0, 2.0, 0.0))).danger[0] < 2.3
-
-
-@pytest.mark.parametrize(
-    ("east", "north"),
-    [
-        ((20.0, 9.0, 0.0), (20.0, 9.0, -6.0)),  # one brakes, and will stand before
-        ((20.0, 9.0, 0.0), (60.0, 9.0, 0.0)),  # one comes long after the other
-        ((55.0, 9.0, 0.0), (55.0, 9.0, 0.0)),  # both come late
-    ],
-)
-def test_who_is_not_about_to_meet_is_in_no_danger(
-    east: tuple[float, float, float], north: tuple[float, float, float]
-) -> None:
-    assert not len(hatn_rule(moment(east, north)).danger)
-
-
-def test_danger_grows_where_they_speed_up_and_is_small_far_away() -> None:
-    steady, faster, far = (
-        float(hatn_rule(moment((way, 5.0, gain), (way, 5.0, gain))).danger[0])
-        for way, gain in ((14.0, 0.0), (14.0, 2.0), (20.0, 0.0))
-    )
-    assert far < steady < faster
+    at_once = danger((20.0, 9.0, 0.0), (20.0, 9.0, 0.0))
+    assert at_once > SETTINGS.alert_onset
+    assert danger((45.0, 9.0, 0.0), (45.0, 9.0, 0.0)) < at_once  # later
+    assert danger((20.0, 9.0, 0.0), (20.0, 9.0, -6.0)) < at_once  # one brakes
+    assert danger((20.0, 9.0, 0.0), (60.0, 9.0, 0.0)) < 0.1 * at_once  # one comes long after
 
 
 def test_who_was_to_yield_and_goes_first_deviates() -> None:
@@ -106,22 +81,14 @@ def test_who_was_to_yield_and_goes_first_deviates() -> None:
     unsure = hatn_rule(moment((22.0, 9.0, 0.0), (20.0, 9.0, 0.0), north_yields=0.6))
     assert unsure.type is not None
     assert [TYPES[kind] for kind in unsure.type] == ["CONFLICT"]
-    np.testing.assert_allclose(sure.danger, unsure.danger)
-
-
-def test_kept_motion_ends_at_a_standstill_and_at_the_fastest() -> None:
-    travelled = kept_travel_m(np.array([3.0, 13.0, 20.0]), np.array([-3.0, 5.0, 0.0]))
-    np.testing.assert_allclose(travelled[0, -1], sum(3.0 - 0.3 * k for k in range(1, 11)) * 0.1)
-    assert travelled[1, -1] < 14.0 * 3.0
-    np.testing.assert_allclose(travelled[2, -1], 60.0)
 
 
 @pytest.mark.parametrize("name", RULES)
 def test_every_rule_knows_danger_from_none(name: str) -> None:
-    bad = RULES[name](moment((20.0, 9.0, 0.0), (20.0, 9.0, 0.0)))
-    good = RULES[name](moment((30.0, 4.0, 0.0), (25.0, 9.0, 0.0)))
-    assert len(bad.danger) == (name != "never")
-    assert len(good.danger) == (name == "always")
+    bad = RULES[name](moment((20.0, 9.0, 0.0), (20.0, 9.0, 0.0))).danger
+    good = RULES[name](moment((30.0, 4.0, 0.0), (25.0, 9.0, 0.0))).danger
+    assert len(bad) == (name != "never")
+    assert good.sum() == (1.0 if name == "always" else pytest.approx(0.0, abs=0.1 * bad.sum()))
 
 
 def test_baselines_by_hand() -> None:
@@ -137,7 +104,6 @@ def test_baselines_by_hand() -> None:
 # ---------------------------------------------------------------------------------------------
 # Intervals
 
-SETTINGS = AssistSettings()
 SCENE = scene_of(0.0, {"b": (0.0, 0.0, 0.0, 1.0), "a": (9.0, 0.0, 0.0, 1.0)})
 
 
@@ -156,45 +122,44 @@ def edges_of(
 
 
 def test_an_alert_begins_peaks_and_ends() -> None:
-    on, end = SETTINGS.alert_onset_mps2, SETTINGS.alert_end_mps2
-    told = edges_of([0.5, on, 4.5, end, end - 0.01, 0.0])
+    on, end = SETTINGS.alert_onset, SETTINGS.alert_end
+    told = edges_of([0.5 * end, on, 0.9, end, end - 0.01, 0.0])
     assert [one.edge for one in told] == ["onset", "peak", "end"]
     assert [round(one.time_s, 1) for one in told] == [0.1, 0.2, 0.3]
-    assert [one.severity for one in told] == pytest.approx([on / 9.0, 0.5, 0.5])
+    assert [one.severity for one in told] == pytest.approx([on, 0.9, 0.9])
     assert {(one.alert_id, one.ego_id, one.other_id) for one in told} == {("a00001", "b", "a")}
-    assert told[0].reason == f"{WHY}: 1.8 m/s2"
-    assert told[1].reason == f"{WHY}: 4.5 m/s2"
+    assert told[1].reason == f"90 % {WHY}"
 
 
 def test_danger_that_comes_back_soon_is_the_same_alert() -> None:
-    back = [3.0, *[0.0] * 19, 3.0]
-    late = [3.0, *[0.0] * 20, 3.0]
+    back = [0.9, *[0.0] * 19, 0.9]
+    late = [0.9, *[0.0] * 20, 0.9]
     assert [one.edge for one in edges_of(back)] == ["onset", "peak", "end"]
     assert [one.edge for one in edges_of(late)] == ["onset", "peak", "end"] * 2
 
 
 def test_egos_choose_whose_alerts_are_told_and_who_is_ego() -> None:
-    assert edges_of([3.0], frozenset()) == []
-    assert edges_of([3.0], frozenset({"else"})) == []
-    assert {one.ego_id for one in edges_of([3.0], frozenset({"a"}))} == {"a"}
+    assert edges_of([0.9], frozenset()) == []
+    assert edges_of([0.9], frozenset({"else"})) == []
+    assert {one.ego_id for one in edges_of([0.9], frozenset({"a"}))} == {"a"}
 
 
 def test_a_deviation_names_who_deviates() -> None:
-    told = edges_of([3.0], frozenset({"a"}), DEVIATION)
+    told = edges_of([0.9], frozenset({"a"}), DEVIATION)
     assert {one.type for one in told} == {"DEVIATION"}
-    assert told[0].reason.startswith(f"b was to give way; {WHY}")
+    assert told[0].reason == f"b was to give way; 90 % {WHY}"
 
 
 def test_live_alerts_are_those_found_afterwards_in_the_trace() -> None:
     rng = np.random.default_rng(5)
-    dangers = np.where(rng.random(3000) < 0.12, rng.random(3000) * 3.0, 0.0).tolist()
+    dangers = np.where(rng.random(3000) < 0.12, rng.random(3000), 0.0).tolist()
     told = edges_of(dangers)
     recorder = DangerRecorder()
     for frame, danger in enumerate(dangers):
         if danger > 0.0:
             found = PairDangers(np.array([0]), np.array([1]), np.array([danger]))
             recorder.add(0.1 * frame, SCENE.ids, found)
-    intervals = alerts_at(recorder.trace(), SETTINGS.alert_onset_mps2)
+    intervals = alerts_at(recorder.trace(), SETTINGS.alert_onset)
     assert len(intervals) > 20
     onset, end = ([one.time_s for one in told if one.edge == edge] for edge in ("onset", "end"))
     np.testing.assert_allclose(onset, [one.onset_s for one in intervals])
@@ -218,21 +183,27 @@ def test_predictions_are_kept_for_a_second() -> None:
 
 def test_settings_are_read_and_what_is_not_named_stays(tmp_path: Path) -> None:
     file = tmp_path / "assist.toml"
-    file.write_text("alert_onset_mps2 = 2.5\ncool_down_s = 3\n")
-    assert read_assist_settings(file) == AssistSettings(alert_onset_mps2=2.5, cool_down_s=3.0)
+    file.write_text('alert_onset = 0.5\ncool_down_s = 3\ndanger_network = "mine.json"\n')
+    mine = tmp_path / "mine.json"
+    mine.write_text("{}")
+    assert read_assist_settings(file) == AssistSettings(
+        alert_onset=0.5, cool_down_s=3.0, danger_network=str(mine)
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("alert_onset_kmh = 9", "unknown key 'alert_onset_kmh'; did you mean 'alert_onset_mps2'"),
-        ("reaction_s = 800", "reaction_s: expected 0.1 to 3, found 800; is it in the unit"),
-        ("reaction_s = nan", "reaction_s: expected 0.1 to 3, found nan"),
-        ("soon_s = '4'", "soon_s: expected a number, found '4'"),
-        ("soon_s = true", "soon_s: expected a number, found True"),
-        ("alert_onset_mps2 = 1.0", "alert_end_mps2 = 1.4 is above alert_onset_mps2 = 1"),
+        ("alert_onset_mps2 = 9", "unknown key 'alert_onset_mps2'; did you mean 'alert_onset'"),
+        ("alert_onset = 25", "alert_onset: expected 0 to 1, found 25; is it in the unit"),
+        ("cool_down_s = nan", "cool_down_s: expected 0 to 60, found nan"),
+        ("confident = '4'", "confident: expected a number, found '4'"),
+        ("confident = true", "confident: expected a number, found True"),
+        ("alert_onset = 0.001", "is above alert_onset = 0.001"),
+        ("danger_network = 3", "danger_network: expected the name of a file, found 3"),
+        ("danger_network = 'no.json'", "danger_network: expected a file, found none at"),
         ("end_after_s = 5", "end_after_s = 5 is above cool_down_s = 2"),
-        ("soon_s = ", "not valid TOML"),
+        ("confident = ", "not valid TOML"),
     ],
 )
 def test_wrong_settings_are_told_of(tmp_path: Path, text: str, told: str) -> None:

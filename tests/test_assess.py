@@ -73,13 +73,29 @@ def test_a_threshold_is_sought_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    words = ["assess", "--scenes", "roundabout8", "--risk", "inattentive", "--seeds", "301", *SHORT]
-    asked = ["--calibrate", "--false-alarms", "1000"]
-    code = main([*words, *asked, "--duration", "20", "--warm-up", "60", "--out", str(out)])
+    words = ["assess", "--suite", "do_warn", "--seeds", "301-302", *SHORT, "--duration", "20"]
+    asked = ["--calibrate", "--false-alarms", "1000", "--warm-up", "0"]
+    code = main([*words, *asked, "--out", str(out)])
     assert code == 0, capsys.readouterr().err
     assert "settings in" in capsys.readouterr().out
     settings = read_assist_settings(out / "assist.toml")
-    assert 0.0 < settings.alert_end_mps2 < settings.alert_onset_mps2 <= 9.01
+    assert 0.0 < settings.alert_end < settings.alert_onset < 1.0
+    assert settings.danger_network == str(out / "danger.json")
+    # What was found can be used, and is not mixed with what ships.
+    used = ["--assist-settings", str(out / "assist.toml"), "--out", str(tmp_path / "used")]
+    assert main([*words, "--warm-up", "0", *used]) == 0
+    assert main([*words, "--warm-up", "0", *used[2:]]) == 2
+    assert "was made otherwise" in capsys.readouterr().err
+
+
+def test_a_threshold_is_not_sought_where_there_is_nothing_to_seek_it_by(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["assess", "--scenes", "tjunction", "--risk", "courteous", *SHORT, "--calibrate"]
+    assert main([*words, "--seeds", "301", "--out", str(tmp_path / "one")]) == 2
+    assert "expected two --seeds or more" in capsys.readouterr().err
+    assert main([*words, "--seeds", "301-302", "--out", str(tmp_path / "none")]) != 0
+    assert "there is nothing to calibrate by" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def test_alerts_afterwards_are_those_that_were_raised_live(seed: int) -> None:
         raised += [(*sorted((e.ego_id, e.other_id)), e.edge, e.time_s) for e in edges]
     told = [
         (one.first_id, one.second_id, edge, time_s)
-        for one in alerts_at(recorder.trace(), settings.alert_onset_mps2, settings)
+        for one in alerts_at(recorder.trace(), settings.alert_onset, settings)
         for edge, time_s in (("onset", one.onset_s), ("peak", one.peak_s), ("end", one.end_s))
     ]
     assert len(told) > 6
@@ -321,7 +321,7 @@ def test_rules_side_by_side_at_equal_false_alarms(tmp_path: Path) -> None:
         for run in runs
     ]
     curves = curves_of(vague)
-    scores = compare_rules(vague, curves, AssistSettings(alert_onset_mps2=1.5, alert_end_mps2=1.2))
+    scores = compare_rules(vague, curves, AssistSettings(alert_onset=1.5, alert_end=1.2))
     told = {
         (one.predictor, one.subset): one.value for one in scores if one.measure == "event_recall"
     }

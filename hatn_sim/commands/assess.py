@@ -300,11 +300,16 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     from hatn_sim.assist.danger_network import write_danger_networks
     from hatn_sim.assist.settings import NETWORK
     from hatn_sim.commands.versions import installed
-    from hatn_sim.errors import HatnSimError
+    from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.learn.danger_study import fit_all, held_out_runs
     from hatn_sim.score.sweep import best_within, sweep, thresholds_of
     from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
+    if len({run.seed for run in runs}) < 2:
+        raise InputError(
+            "--calibrate: expected two --seeds or more, since a threshold is sought on seeds that "
+            "the danger was not fitted to; found one"
+        )
     networks = fit_all(runs)
     if networks is None:
         raise HatnSimError(

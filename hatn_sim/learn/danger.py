@@ -27,6 +27,7 @@ NETWORKS: Final = 4
 """Fitted from as many beginnings; their mean logit is one network of all their units."""
 UNITS: Final = 24
 EPOCHS: Final = 6
+LEAST_STEPS: Final = 400
 BATCH: Final = 1024
 DANGEROUS_SHARE: Final = 0.2
 """Of a batch: events are rare."""
@@ -40,6 +41,8 @@ LEAST_SCALE: Final = 1e-2
 
 def fit_danger(runs: Sequence[AssessedRun], rule: str, seed: int = 0) -> DangerNetwork | None:
     """The network of a rule whose signs the runs have; None: no event went before which any was."""
+    if not runs:
+        return None
     signs, dangerous, weight = examples(runs, rule)
     if not dangerous.any() or dangerous.all():
         return None
@@ -69,7 +72,7 @@ def _fit_one(
             torch.nn.Linear(x.shape[1], UNITS), torch.nn.Tanh(), torch.nn.Linear(UNITS, 1)
         )
     many = round(BATCH * DANGEROUS_SHARE)
-    steps = max(EPOCHS * len(x) // BATCH, 1)
+    steps = max(EPOCHS * len(x) // BATCH, LEAST_STEPS)
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
     rates = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps + 1)
     kinds = torch.where(dangerous > 0)[0], torch.where(dangerous == 0)[0]
@@ -123,7 +126,7 @@ def _examples_of(run: AssessedRun, rule: str) -> tuple[FloatArray, BoolArray, Fl
             to_event_s[rows[before]] = np.minimum(to_event_s[rows[before]], ahead_s[before])
             is_after[rows[(ahead_s <= 0.01) & (ahead_s > -WITHIN_S)]] = True
         elif event.tier == BRIEF or is_close(event):
-            is_near[rows[ahead_s <= WITHIN_S]] = True
+            is_near[rows[np.abs(ahead_s) <= WITHIN_S]] = True
     dangerous = np.isfinite(to_event_s)
     weight = np.where(is_near, NEAR_WEIGHT, 1.0)
     weight = np.where(is_after, 0.0, weight)
