@@ -52,13 +52,21 @@ def folder_for(kind: str, cache_option: str | None = None) -> Path | None:
     return Path(base) / "hatn_sim" / kind
 
 
-@cache
 def source_version(everything: bool = False) -> str:
     """The hash of the source of all that has a part in making samples, or of `everything`."""
+    return source_without(()) if everything else source_without(NO_PART_IN_SAMPLES, BUT)
+
+
+@cache
+def source_without(left_out: tuple[str, ...], but: tuple[str, ...] = ()) -> str:
+    """The hash of the package's files, weights and all, save those that begin with `left_out`.
+
+    Those that begin with `but` have a part all the same.
+    """
     total = hashlib.sha256()
     for path in sorted(PACKAGE_DIR.rglob("*")):
         name = path.relative_to(PACKAGE_DIR).as_posix()
-        ours = everything or name.startswith(BUT) or not name.startswith(NO_PART_IN_SAMPLES)
+        ours = name.startswith(but) or not name.startswith(left_out)
         if ours and path.is_file() and "__pycache__" not in name:
             total.update(f"{name} {content_hash(path)}\n".encode())
     return total.hexdigest()

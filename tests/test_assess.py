@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 from hatn_sim.assist.settings import read_assist_settings
 from hatn_sim.cli import main
+from hatn_sim.config import load_scenario
+from hatn_sim.evaluation import made_by as made_by_module
+from hatn_sim.evaluation.made_by import made_by
 
+NETS = Path(__file__).parent / "nets"
 SHORT = ["--duration", "6", "--warm-up", "20", "--workers", "1", "--quiet"]
 WANTED = ["--scenes", "tjunction", "--risk", "courteous,inattentive", "--seeds", "301"]
 
 
 def test_runs_are_made_scored_and_used_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
     words = ["assess", *WANTED, *SHORT, "--out", str(out)]
@@ -43,6 +48,25 @@ def test_runs_are_made_scored_and_used_again(
     assert "was made otherwise: expected rules" in capsys.readouterr().err
     assert main(words) == 0
     assert "suggestions" in capsys.readouterr().out
+    monkeypatch.setattr(made_by_module, "source_without", lambda _: "of tomorrow")
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "was made otherwise: expected source of hatn_sim of tomorrow, found" in told
+    assert told.count("\n") == 1 and "choose another --out" in told
+
+
+def test_runs_of_other_files_are_other_runs(tmp_path: Path) -> None:
+    for name in ("street.net.xml", "street.rou.xml", "street.sumocfg"):
+        shutil.copy(NETS / name, tmp_path)
+    scenario = load_scenario(str(tmp_path / "street.sumocfg"))
+    before = made_by(scenario)
+    routes = tmp_path / "street.rou.xml"
+    text = routes.read_text(encoding="utf-8")
+    routes.write_text(f"{text}<!-- drawn otherwise -->\n", encoding="utf-8")
+    changed = made_by(scenario)
+    assert {key for key in before if before[key] != changed[key]} == {"files of the scene"}
+    routes.write_text(text, encoding="utf-8")
+    assert made_by(scenario) == before
 
 
 def test_a_threshold_is_sought_and_written(

@@ -199,7 +199,7 @@ def test_a_run_is_not_changed_by_being_judged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["run", "roundabout8", "--risk", "inattentive", "--seed", "3", "--duration", "8"]
-    words += ["--warm-up", "40", "--no-picture", "--quiet"]
+    words += ["--warm-up", "40", "--no-picture", "--quiet", "--assist"]
     plain, judged = tmp_path / "plain", tmp_path / "judged"
     assert cli.main([*words, "--out", str(plain)]) == 0
     assert cli.main([*words, "--out", str(judged), "--counterfactuals", "0.5"]) == 0

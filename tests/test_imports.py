@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import hatn_sim
+from hatn_sim.evaluation.made_by import NO_PART_IN_RUNS
 
 PACKAGE = Path(hatn_sim.__file__).parent
 
@@ -144,6 +145,29 @@ def test_simulators_know_nothing_of_what_is_made_of_their_frames() -> None:
         if other.partition(".")[0] not in SIMULATORS_IMPORT
     ]
     assert wrong == []
+
+
+def all_imports(*modules: str) -> set[str]:
+    """The modules, and all that they import, and all that these import."""
+    found: set[str] = set()
+    wanted = list(modules)
+    while wanted:
+        module = wanted.pop()
+        if module not in found:
+            found.add(module)
+            wanted += own_imports(SOURCES[module])
+    return found
+
+
+def test_the_source_that_an_assessed_run_comes_of_is_all_that_it_imports() -> None:
+    files = {
+        name: path.relative_to(PACKAGE).as_posix()
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if (name := module_name(path))
+    }
+    used = all_imports("evaluation.assessing", "simulators.sumo_worker") - {""}
+    left_out = [name for name in used if files[name].startswith(NO_PART_IN_RUNS)]
+    assert left_out == []
 
 
 def test_what_the_predictors_see_is_made_without_a_simulator() -> None:

@@ -48,6 +48,7 @@ EXAMPLES = """examples:
 HELD_OUT: Final = tuple(range(401, 441))
 FOR_CALIBRATION: Final = tuple(range(300, 340))
 DURATION_S: Final = 120.0
+NO_EVENTS: Final = "no collision and no evasive braking in these runs"
 FALSE_ALARMS_PER_HOUR: Final = 1.0
 RUNS_FOLDER: Final = "assessed"
 SETTINGS_FILE: Final = "assist.toml"
@@ -136,7 +137,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Make the runs; score, print, draw, or calibrate."""
-    from hatn_sim.commands.evaluate_predictors import free_or_own_folder
+    from hatn_sim.commands.folders import free_or_own_folder
 
     out = free_or_own_folder(arguments.out, "assess")
     runs = make_runs(arguments, out)
@@ -148,12 +149,11 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
 
     Raises HatnSimError, and KeyboardInterrupt, where one of them fails; the others stay.
     """
-    from hatn_sim.commands.evaluate_predictors import cores
+    from hatn_sim.commands.folders import finished_runs_stay
     from hatn_sim.commands.progress import RunsProgress
     from hatn_sim.datatypes import DT_S
-    from hatn_sim.errors import HatnSimError
     from hatn_sim.evaluation.assessing import is_assessed, make_assessed
-    from hatn_sim.evaluation.pool import work_on
+    from hatn_sim.evaluation.pool import cores, work_on
     from hatn_sim.score.assessed import read_assessed
 
     plans = list(_plans(arguments, out))
@@ -162,19 +162,12 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
         there = len(plans) - len(wanted)
         said = f"hatn-sim: {there} of {len(plans)} runs are in {out / RUNS_FOLDER} already"
         print(said, file=sys.stderr)
-    stays = f"finished runs stay in {out}, and the same command with --out {out} goes on with them"
     labels, frames = [plan.label for plan in wanted], [plan.frames for plan in wanted]
-    try:
-        with RunsProgress(labels, frames, DT_S, arguments.quiet) as progress:
-            workers = arguments.workers or cores()
-            for number, done in work_on(make_assessed, wanted, workers, progress.show):
-                progress.finish(number, done)
-    except HatnSimError as error:
-        raise type(error)(f"{error}; {stays}" if out.exists() else str(error)) from None
-    except KeyboardInterrupt:
-        if out.exists():
-            print(f"hatn-sim: {stays}", file=sys.stderr)
-        raise
+    progress = RunsProgress(labels, frames, DT_S, arguments.quiet)
+    with finished_runs_stay(out), progress:
+        workers = arguments.workers or cores()
+        for number, done in work_on(make_assessed, wanted, workers, progress.show):
+            progress.finish(number, done)
     runs = [read_assessed(plan.out) for plan in plans]
     if not arguments.quiet:
         for notice in dict.fromkeys(f"{run.scene}: {line}" for run in runs for line in run.notices):
@@ -190,6 +183,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import InputError, nearest
     from hatn_sim.evaluation.assessing import AssessPlan
+    from hatn_sim.evaluation.made_by import made_by
 
     rules: tuple[str, ...] = arguments.rules or tuple(RULES)
     for name in rules:
@@ -201,6 +195,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     for scenario in _scenarios(arguments):
         warm_up_s = default_warm_up_s(scenario)
         warm_up_s = warm_up_s if arguments.warm_up is None else arguments.warm_up
+        made = made_by(scenario)
         profile = "" if scenario.risk is None else f", {scenario.risk}"
         for seed in for_seeds:
             label = f"{scenario.name}{profile}, seed {seed}"
@@ -230,6 +225,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                     "keeps_signs": arguments.calibrate,
                     "danger_network": None if arguments.calibrate else danger,
                     "versions": installed(),
+                    **made,
                 },
             )
 
@@ -289,8 +285,7 @@ def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun])
     write_curves(out / CURVES_FILE, curves)
     draw_curves(curves, [out / name for name in FIGURES])
     if not arguments.quiet and not any(s.n for s in scores if s.measure == "event_recall"):
-        said = "no collision and no evasive braking in these runs: recall has no value"
-        print(f"hatn-sim: {said}", file=sys.stderr)
+        print(f"hatn-sim: {NO_EVENTS}: recall has no value", file=sys.stderr)
     if arguments.json:
         print(scores_json(scores))
         return 0
@@ -308,6 +303,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.learn.danger_study import fit_all, held_out_runs
     from hatn_sim.score.sweep import best_within, sweep, thresholds_of
+    from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
     if len({run.seed for run in runs}) < 2:
         raise InputError(
@@ -317,8 +313,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     networks = fit_all(runs)
     if networks is None:
         raise HatnSimError(
-            "no collision and no evasive braking in these runs: there is nothing to calibrate by; "
-            "add seeds, or --risk inattentive"
+            f"{NO_EVENTS}: there is nothing to calibrate by; add seeds, or --risk inattentive"
         )
     settings = _settings(arguments)
     judged = held_out_runs(runs, HATN)
@@ -346,7 +341,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     values = {field.name: getattr(found, field.name) for field in fields(found)}
     lines = [f"{key} = {value}" for key, value in values.items() if key != NETWORK]
     lines.append(f'{NETWORK} = "{NETWORK_FILE}"')
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    save_whole(path, "\n".join(lines) + "\n", ROOM_OR_OUT)
     print(
         f"alerts from a danger of {100.0 * onset:.1f} % on: {best.false_alarms_per_hour:.2f} false "
         f"alarms per vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "

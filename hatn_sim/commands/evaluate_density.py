@@ -169,16 +169,9 @@ def _table(
     summaries: Sequence[Summary],
     intervals: Sequence[tuple[float | None, float | None]],
 ) -> Table:
-    from rich.table import Table
+    from hatn_sim.report.plain_table import plain_table
 
-    table = Table(
-        title=f"{label}: vehicles interacting with an ego",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        padding=(0, 2, 0, 0),
-        pad_edge=False,
-    )
+    table = plain_table(f"{label}: vehicles interacting with an ego")
     table.add_column("chosen by", min_width=25)
     for column in ("mean", "[low high]", "median", "90 %", "maximum", "none", "n"):
         table.add_column(column, justify="right", no_wrap=True)

@@ -145,16 +145,9 @@ def _print(scores: Mapping[str, Sequence[Score]], samples: Mapping[str, LineSamp
 
 
 def _measures(label: str, scores: Sequence[Score]) -> Table:
-    from rich.table import Table
+    from hatn_sim.report.plain_table import plain_table
 
-    table = Table(
-        title=f"{label}: inferred lines that are right",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        padding=(0, 2, 0, 0),
-        pad_edge=False,
-    )
+    table = plain_table(f"{label}: inferred lines that are right")
     table.add_column("vehicle-frames", min_width=36)
     for column in ("share", "[low high]", "n"):
         table.add_column(column, justify="right", no_wrap=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.evaluate import DURATION_S, HELD_OUT, PREDICTORS, chosen_scenarios
-from hatn_sim.commands.folders import free_or_own_folder
+from hatn_sim.commands.folders import finished_runs_stay, free_or_own_folder
 from hatn_sim.evaluation.pool import cores
 
 if TYPE_CHECKING:
@@ -58,7 +58,6 @@ def scored_runs(arguments: argparse.Namespace, out: Path) -> tuple[list[Run], li
     Raises HatnSimError, and KeyboardInterrupt, where one of them fails; the others stay.
     """
     from hatn_sim.commands.chosen_predictors import load_predictors
-    from hatn_sim.errors import HatnSimError
     from hatn_sim.evaluation.runs import is_there
     from hatn_sim.evaluation.seen import Judged, said_of_seen, with_seen
     from hatn_sim.log import read_run
@@ -78,15 +77,8 @@ def scored_runs(arguments: argparse.Namespace, out: Path) -> tuple[list[Run], li
         said = f"hatn-sim: {sum(there)} of {len(plans)} runs are in {out / RUNS_FOLDER} already"
         print(said, file=sys.stderr)
     wanted = [plan for plan, made in zip(plans, there, strict=True) if not made]
-    stays = f"finished runs stay in {out}, and the same command with --out {out} uses them"
-    try:
+    with finished_runs_stay(out):
         _make(wanted, arguments.workers or cores(), arguments.quiet)
-    except HatnSimError as error:
-        raise type(error)(f"{error}; {stays}" if out.exists() else str(error)) from None
-    except KeyboardInterrupt:
-        if out.exists():
-            print(f"hatn-sim: {stays}", file=sys.stderr)
-        raise
     logged = [read_run(plan.out) for plan in plans]
     return logged, with_seen(score_runs(logged), seen)
 

@@ -56,21 +56,13 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _table(rows: Sequence[Runtime]) -> Table:
-    from rich.table import Table
-
     from hatn_sim.bench_runtime import STAGES
     from hatn_sim.evaluation.paper import RUNTIME_MS
+    from hatn_sim.report.plain_table import plain_table
 
     agents = list(dict.fromkeys(row.agents for row in rows))
     taken = {(row.stage, row.agents): f"{row.median_ms:.2f}" for row in rows}
-    table = Table(
-        title="Running time in milliseconds",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        padding=(0, 2, 0, 0),
-        pad_edge=False,
-    )
+    table = plain_table("Running time in milliseconds")
     table.add_column("")
     table.add_column("paper", justify="right")
     for number in agents:

@@ -130,9 +130,9 @@ _MEASURES: Final = {
 
 
 def _table(title: str, *columns: str) -> Table:
-    from rich.table import Table
+    from hatn_sim.report.plain_table import plain_table
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table = plain_table(title)
     for column in columns:
         table.add_column(
             column, justify="right" if column in ("n", "value", "meetings") else "left"

@@ -15,7 +15,7 @@ import time
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hatn_sim.commands.options import (
     SIMULATORS_OWN,
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
     from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
-    from hatn_sim.datatypes import Advice, Frame, Predictor, Score, Simulator
+    from hatn_sim.datatypes import Advice, Frame, Predictor, Simulator
     from hatn_sim.learn.others_choice import OthersChoice
-    from hatn_sim.log import Run, RunWriter
+    from hatn_sim.log import RunWriter
     from hatn_sim.loop import Driver
     from hatn_sim.score.what_if import WhatIf
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
@@ -56,8 +56,6 @@ EXAMPLES = """examples:
   hatn-sim run --tracks site/vehicle_tracks_000.csv --map site.osm --net site.net.xml --drive 12@8
 """
 DURATION_S = 60.0
-STEP_S = 0.1
-REPLAY_FILE = "replay.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,6 +135,7 @@ def main(arguments: argparse.Namespace) -> int:
     """Run, score, draw."""
     from hatn_sim.assist.settings import AssistSettings, read_assist_settings
     from hatn_sim.commands.chosen_predictors import load_predictors
+    from hatn_sim.commands.folders import free_folder
     from hatn_sim.commands.line_choices import choice_header, drawing_lines
     from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
     from hatn_sim.commands.run_header import make_header
@@ -158,7 +157,7 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.warm_up = default_warm_up_s(scenario, arguments.drive)
     if arguments.duration is None and scenario.recorded is None:
         arguments.duration = DURATION_S
-    out: Path = arguments.out or _free_folder(scenario.name)
+    out: Path = arguments.out or free_folder(scenario.name)
     _check_out(out)
     wanted = (arguments.predictor, *arguments.compare)
     # Who acts on advice would teach the network what it said (METHOD section 4).
@@ -319,7 +318,13 @@ def _finish(
     learnt: Mapping[tuple[str, str], str],
 ) -> int:
     from hatn_sim.commands.console import make_console
-    from hatn_sim.datatypes import Kind
+    from hatn_sim.commands.run_results import (
+        draw_picture,
+        rates,
+        tell_counterfactuals,
+        write_replay,
+    )
+    from hatn_sim.datatypes import DT_S, Kind
     from hatn_sim.evaluation.seen import with_seen
     from hatn_sim.log import read_run
     from hatn_sim.report.table import score_table, scores_json, write_scores
@@ -331,14 +336,14 @@ def _finish(
     scores = with_seen(score_run(logged), learnt)
     write_scores(out, scores)
     taken_s = done.seconds + time.monotonic() - scoring
-    pictures = [] if arguments.no_picture else _draw(logged, out, arguments.quiet)
+    pictures = [] if arguments.no_picture else draw_picture(logged, out, arguments.quiet)
     for option, wanted in (("--egos", arguments.egos or ()), ("--drive", _driven(arguments))):
         never = [name for name in wanted if name not in logged.ids]
         if never:
             print(f"hatn-sim: never seen in this run: {option} {','.join(never)}", file=sys.stderr)
-    replayed = _write_replay(logged, out, done.replay)
+    replayed = write_replay(logged, out, done.replay)
     if arguments.json:
-        print(scores_json([*scores, *replayed, *_rates(logged, done.frames, taken_s)]))
+        print(scores_json([*scores, *replayed, *rates(logged, done.frames, taken_s)]))
         return 0
     make_console().print(score_table(scores, clustered_over([logged])))
     if done.replay is not None:
@@ -349,74 +354,14 @@ def _finish(
     seen = f"{len(logged.ids) - walking} vehicles"
     seen += f" and {walking} pedestrians" if walking else ""
     print(
-        f"{done.frames} steps of {STEP_S:g} s, {seen}, in {taken_s:.1f} s, "
+        f"{done.frames} steps of {DT_S:g} s, {seen}, in {taken_s:.1f} s, "
         f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
-        f"{STEP_S * done.frames / taken_s:.1f} times real time"
+        f"{DT_S * done.frames / taken_s:.1f} times real time"
     )
-    _tell_counterfactuals(logged)
+    tell_counterfactuals(logged)
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
     print(f"log, scores and picture in {out}" if pictures else f"log and scores in {out}")
     if pictures:
         print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
     return 0
-
-
-def _tell_counterfactuals(logged: Run) -> None:
-    """What branches said of the advice, and the weights of costs."""
-    if logged.counterfactuals is None:
-        return
-    from hatn_sim.score.counterfactual import CounterfactualSettings
-    from hatn_sim.score.counterfactual_tally import tally, tally_words
-
-    print("\n".join(tally_words(tally(logged.counterfactuals), CounterfactualSettings())))
-
-
-def _write_replay(
-    logged: Run, out: Path, replay: tuple[Fidelity, Divergence] | None
-) -> list[Score]:
-    """The figures of a replay inside SUMO, in a file of the run as well."""
-    if replay is None:
-        return []
-    from hatn_sim.report.replay_table import replay_scores
-    from hatn_sim.report.table import scores_json
-    from hatn_sim.whole_file import save_whole
-
-    scores = replay_scores(str(logged.header["scene"]), *replay)
-    save_whole(out / REPLAY_FILE, scores_json(scores) + "\n")
-    return scores
-
-
-def _rates(logged: Run, frames: int, taken_s: float) -> list[Score]:
-    """How fast the run was; not for its scores.json, which is equal in equal runs."""
-    from hatn_sim.datatypes import Score
-    from hatn_sim.score.samples import reported_name
-
-    main = reported_name(logged, logged.predictors[0])
-    scene, per_second = str(logged.header["scene"]), frames / taken_s
-    return [
-        Score(measure, main, scene, "all", "none", value, unit, frames, None, None)
-        for measure, value, unit in (
-            ("steps_per_second", per_second, "1/s"),
-            ("real_time_factor", STEP_S * per_second, "x"),
-        )
-    ]
-
-
-def _draw(logged: Any, out: Path, quiet: bool) -> list[Path]:
-    from hatn_sim.commands.report import draw
-    from hatn_sim.errors import InputError
-
-    try:
-        return draw(logged, out, animate=False)
-    except InputError as error:
-        if not quiet:
-            print(f"hatn-sim: no picture: {error}", file=sys.stderr)
-        return []
-
-
-def _free_folder(name: str) -> Path:
-    number = 1
-    while (folder := Path("runs") / f"{name}-{number}").exists():
-        number += 1
-    return folder

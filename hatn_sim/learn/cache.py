@@ -12,20 +12,19 @@ import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from hatn_sim.config import Scenario
 from hatn_sim.content import content_hash
 from hatn_sim.kept import library_versions, source_version
 from hatn_sim.learn.dataset import Samples
+from hatn_sim.learn.scene_files import files_of
 from hatn_sim.learn.split import Traffic
-from hatn_sim.recordings.each import own_cases, own_files
-from hatn_sim.simulators.sumo_config import named_files, read_sumocfg
+from hatn_sim.recordings.each import own_cases
 from hatn_sim.whole_file import write_whole
 
 LARGEST_BYTES: Final = 20 * 2**30
@@ -106,31 +105,11 @@ def key_of(traffic: Traffic) -> str:
         "seed": traffic.seed,
         "warm_up_s": traffic.warm_up_s,
         "duration_s": traffic.duration_s,
-        "files": [content_hash(path) for path in _files_of(scenario) if path.is_file()],
+        "files": [content_hash(path) for path in files_of(scenario)],
         "source": source_version(),
         "versions": library_versions(),
     }
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def _files_of(scenario: Scenario) -> Iterator[Path]:
-    """Every file that a scene is read from."""
-    if scenario.recorded is not None:
-        source = scenario.recorded
-        for path in own_files(source):
-            yield from sorted(path.rglob("*.*")) if path.is_dir() else [path]
-        if source.map_path is not None:
-            yield source.map_path
-    elif scenario.highway is None:
-        # What a .sumocfg names may include other files beside it; what it writes is no part of it,
-        # nor is what a user keeps there besides, such as weights and logs of their training.
-        config = scenario.config_path
-        beside = sorted(path for path in config.parent.iterdir() if ".xml" in path.suffixes)
-        options = read_sumocfg(config)
-        written = {config.parent / value for name, value in options.items() if "output" in name}
-        yield from (path for path in (config, *beside) if path not in written)
-        yield from named_files(config)
-        yield from scenario.driver_paths
 
 
 def _without_folders(value: Any) -> Any:

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hatn_sim.datatypes import Score
+from hatn_sim.report.plain_table import plain_table
 
 ALERTS: Final = {
     "event_recall": "recall",
@@ -35,6 +36,7 @@ WHAT_IF: Final = {
     "regret": "regret",
     "always_yield_regret": "always yield",
     "driver_regret": "driver",
+    "lost_branches": "lost",
 }
 NONE: Final = "-"
 
@@ -74,14 +76,7 @@ def _table(
     scene: str,
     risk: str,
 ) -> Table:
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )
+    table = plain_table(title, apart=1)
     table.add_column(head, min_width=9, max_width=18, overflow="fold")
     for name in measures.values():
         table.add_column(name, justify="right", no_wrap=True)

@@ -13,6 +13,7 @@ from rich.text import Text
 from hatn_sim.datatypes import Score
 from hatn_sim.evaluation.paper import Cell, PaperTable
 from hatn_sim.evaluation.table import Entry
+from hatn_sim.report.plain_table import plain_table
 
 BESIDE: Final = 2
 """Measures in one table: more would not fit a hundred columns."""
@@ -62,14 +63,7 @@ def paper_table(table: PaperTable, entries: Sequence[Entry], clustered_over: str
 def _side_by_side(scene: str, measures: Sequence[str], entries: Sequence[Entry]) -> Table:
     scenario = entries[0].paper_scenario
     like = f"; paper: {scenario}" if scenario is not None and scenario != scene else ""
-    grid = Table(
-        title=f"{scene}{like}",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        padding=(0, 2, 0, 0),
-        pad_edge=False,
-    )
+    grid = plain_table(f"{scene}{like}")
     grid.add_column("", min_width=12, max_width=20, overflow="fold")
     for measure in measures:
         grid.add_column(f"{FORMS[measure].title}\npaper", justify="right", no_wrap=True)

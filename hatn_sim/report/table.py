@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hatn_sim.datatypes import Score
+from hatn_sim.report.plain_table import plain_table
 from hatn_sim.whole_file import save_whole
 
 SCORES_FILE = "scores.json"
@@ -149,14 +150,7 @@ def _spread_table(scene: str, scores: Sequence[Score]) -> Table:
 
 
 def _table(title: str, measures: Sequence[str]) -> Table:
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )
+    table = plain_table(title, apart=1)
     table.add_column("predictor", min_width=9, max_width=12, overflow="fold")
     table.add_column("n", justify="right", no_wrap=True)
     for measure in measures:

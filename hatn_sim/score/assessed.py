@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -16,6 +17,7 @@ from hatn_sim.errors import InputError
 from hatn_sim.score.advised import Advised
 from hatn_sim.score.dangers import DangerTrace
 from hatn_sim.score.sign_traces import SignTrace
+from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
 FORMAT: Final = 3
 _TRACE: Final = ("time_s", "first", "second", "danger", "type")
@@ -41,7 +43,10 @@ class AssessedRun:
 
 
 def write_assessed(path: Path, run: AssessedRun) -> None:
-    """Write the run to a file. The same run, the same bytes are not promised, the content is."""
+    """Write the run to a file. The same run, the same bytes are not promised, the content is.
+
+    Raises InputError where there is no room.
+    """
     advised = run.advised
     head = {
         "format": FORMAT,
@@ -73,10 +78,9 @@ def write_assessed(path: Path, run: AssessedRun) -> None:
     for name, trace in run.signs.items():
         arrays |= {f"{name}.{column}": getattr(trace.pairs, column) for column in _TRACE}
         arrays[f"{name}.signs"] = trace.signs
-    unfinished = path.with_name(f"{path.name}.tmp")
-    with unfinished.open("wb") as file:
-        np.savez_compressed(file, head=np.array(json.dumps(head)), **arrays)
-    unfinished.replace(path)
+    packed = io.BytesIO()
+    np.savez_compressed(packed, head=np.array(json.dumps(head)), **arrays)
+    save_whole(path, packed.getbuffer(), ROOM_OR_OUT)
 
 
 def read_assessed(path: Path) -> AssessedRun:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, Score, Suggestion
-from hatn_sim.labels import SAMPLE_EVERY_FRAMES, slot_label
+from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.score.advised import ABSTAIN, Advised
 from hatn_sim.score.assessed import AssessedRun
@@ -21,7 +21,7 @@ from hatn_sim.score.driven import driven_in
 from hatn_sim.score.events import severe_events, vehicle_hours
 from hatn_sim.score.matching import EARLIEST_S
 from hatn_sim.score.pooling import by_scene
-from hatn_sim.score.samples import reported_name
+from hatn_sim.score.samples import reported_name, taken_slots
 
 PAUSE_S = 1.0
 Settings = dict[str, Any]
@@ -95,16 +95,7 @@ def advised_in(run: Run) -> Advised:
     )
     told, slot, probability = _advised_slots(run, table, sampled)
     rows = sampled[told]
-    taken = slot_label(
-        run.trajectories,
-        table.vehicle[rows],
-        table.frame[rows],
-        table.slot_vehicle[rows],
-        table.slot_in_focus[rows],
-        table.ego_to_conflict_m[rows],
-        table.rear_to_conflict_m[rows],
-        table.conflict_xy_m[rows],
-    )
+    taken = taken_slots(run, table, rows)
     known = (taken >= 0) & (slot >= 0)
     return Advised(
         encounters=encounters,

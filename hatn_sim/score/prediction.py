@@ -40,7 +40,7 @@ from scipy.special import ndtr
 
 from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Score
 from hatn_sim.errors import InputError
-from hatn_sim.labels import SAMPLE_EVERY_FRAMES, slot_label
+from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.score import intervals
 from hatn_sim.score.line_origin import said_lines
@@ -53,6 +53,7 @@ from hatn_sim.score.samples import (
     reported_name,
     rows_of,
     scored_samples,
+    taken_slots,
 )
 
 SHORT_FRAMES = 3
@@ -237,16 +238,7 @@ def _slots(run: Run, table: PredictionTable, rows: IntArray) -> dict[tuple[str, 
     measures = {("single_slot_share", "all"): _mean(single, table.vehicle[rows])}
 
     rows = rows[~single]
-    label = slot_label(
-        run.trajectories,
-        table.vehicle[rows],
-        table.frame[rows],
-        table.slot_vehicle[rows],
-        table.slot_in_focus[rows],
-        table.ego_to_conflict_m[rows],
-        table.rear_to_conflict_m[rows],
-        table.conflict_xy_m[rows],
-    )
+    label = taken_slots(run, table, rows)
     measures["slot_masked_share", "all"] = _mean(label < 0, table.vehicle[rows])
     rows, label = rows[label >= 0], label[label >= 0]
     if not len(rows):

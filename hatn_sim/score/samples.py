@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, IntArray, Kind
-from hatn_sim.labels import MOVING_M, SAMPLE_EVERY_FRAMES, goal_m, samples
+from hatn_sim.labels import MOVING_M, SAMPLE_EVERY_FRAMES, goal_m, samples, slot_label
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.score import intervals
 from hatn_sim.score.pooling import by_scene
@@ -52,6 +52,20 @@ def rows_of(table: PredictionTable, scored: ScoredSamples) -> IntArray:
     key = _key(table.vehicle, table.frame)
     order = np.argsort(key)
     return order[np.searchsorted(key[order], _key(scored.vehicle, scored.frame))]
+
+
+def taken_slots(run: Run, table: PredictionTable, rows: IntArray) -> IntArray:
+    """[R] the slot that the ego of each row of the table really took, see `labels.slot_label`."""
+    return slot_label(
+        run.trajectories,
+        table.vehicle[rows],
+        table.frame[rows],
+        table.slot_vehicle[rows],
+        table.slot_in_focus[rows],
+        table.ego_to_conflict_m[rows],
+        table.rear_to_conflict_m[rows],
+        table.conflict_xy_m[rows],
+    )
 
 
 def displacement_m(table: PredictionTable, rows: IntArray, scored: ScoredSamples) -> FloatArray:

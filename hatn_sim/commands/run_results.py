@@ -1,0 +1,66 @@
+"""What `hatn-sim run` tells and leaves of a finished run, besides its log and its scores."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hatn_sim.datatypes import DT_S, Score
+
+if TYPE_CHECKING:
+    from hatn_sim.log import Run
+    from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
+
+REPLAY_FILE = "replay.json"
+
+
+def tell_counterfactuals(logged: Run) -> None:
+    """What branches said of the advice, and the weights of costs."""
+    if logged.counterfactuals is None:
+        return
+    from hatn_sim.score.counterfactual import CounterfactualSettings
+    from hatn_sim.score.counterfactual_tally import tally, tally_words
+
+    print("\n".join(tally_words(tally(logged.counterfactuals), CounterfactualSettings())))
+
+
+def write_replay(logged: Run, out: Path, replay: tuple[Fidelity, Divergence] | None) -> list[Score]:
+    """The figures of a replay inside SUMO, in a file of the run as well."""
+    if replay is None:
+        return []
+    from hatn_sim.report.replay_table import replay_scores
+    from hatn_sim.report.table import scores_json
+    from hatn_sim.whole_file import save_whole
+
+    scores = replay_scores(str(logged.header["scene"]), *replay)
+    save_whole(out / REPLAY_FILE, scores_json(scores) + "\n")
+    return scores
+
+
+def rates(logged: Run, frames: int, taken_s: float) -> list[Score]:
+    """How fast the run was; not for its scores.json, which is equal in equal runs."""
+    from hatn_sim.score.samples import reported_name
+
+    main = reported_name(logged, logged.predictors[0])
+    scene, per_second = str(logged.header["scene"]), frames / taken_s
+    return [
+        Score(measure, main, scene, "all", "none", value, unit, frames, None, None)
+        for measure, value, unit in (
+            ("steps_per_second", per_second, "1/s"),
+            ("real_time_factor", DT_S * per_second, "x"),
+        )
+    ]
+
+
+def draw_picture(logged: Run, out: Path, quiet: bool) -> list[Path]:
+    """The pictures of a run; none, and a line, where there is nothing to draw."""
+    from hatn_sim.commands.report import draw
+    from hatn_sim.errors import InputError
+
+    try:
+        return draw(logged, out, animate=False)
+    except InputError as error:
+        if not quiet:
+            print(f"hatn-sim: no picture: {error}", file=sys.stderr)
+        return []
