@@ -20,6 +20,7 @@ from hatn_sim.assist.moment import Moment
 from hatn_sim.assist.pairs import FOLLOW, Pairs
 from hatn_sim.assist.risk import (
     Times,
+    arrival_s,
     deceleration_to_avoid_mps2,
     times_at_speed,
     times_predicted,
@@ -40,7 +41,9 @@ REACTION_S: Final = 1.0
 """Everybody goes on for so long before anybody brakes."""
 LOOKED_AHEAD_S: Final = 6.0
 LOOKED_AHEAD_M: Final = 30.0
-"""Who comes later in every future, or follows farther behind, is not looked at."""
+WAITS_M: Final = 12.0
+"""Who comes later in every future and does not wait so near, or follows farther behind, is not
+looked at."""
 AT_ONCE_S: Final = 0.5
 SOON_S: Final = 4.0
 MOST_MPS2: Final = 9.0
@@ -55,6 +58,8 @@ MOST_GAIN_MPS2: Final = 3.0
 BEFORE_CONFLICT_M: Final = 30.0
 """A line this near before a conflict is the conflict's."""
 FAR_S: Final = 10.0
+SOME_WEIGHT: Final = 0.05
+"""Predicted modes with less are not reckoned with by themselves."""
 
 FUTURES: Final = ("predicted", "going on", "at constant speed")
 _MIXED: Final = tuple(combinations_with_replacement(range(len(FUTURES)), 2))
@@ -62,6 +67,10 @@ SIGNS: Final = (
     *(f"meet, one {FUTURES[a]}, one {FUTURES[b]}" for a, b in _MIXED),
     "meet, at most",
     "meet, mean",
+    "meet, chance over the predicted modes of both",
+    "meet within 3 s, chance over the predicted modes of both",
+    "meet, at most, in predicted modes of some weight",
+    "how far the predicted modes of one are apart",
     *(f"meet within 3 s, both {name}" for name in FUTURES),
     *(f"pass within 1.5 s of each other, both {name}" for name in FUTURES),
     "braking needed by the better placed, after the reaction time",
@@ -114,7 +123,7 @@ def signs_of(moment: Moment) -> Signs:
     futures = predicted.of(near), going_on.of(near), steady.of(near)
     now = _slots(moment, pairs, moment.prediction)
     before = now if moment.earlier is None else _slots(moment, pairs, moment.earlier)
-    return _signs(moment, pairs, futures, now, before)
+    return _signs(moment, pairs, futures, _modes(moment, pairs), now, before)
 
 
 def signs_at_constant_velocity(moment: Moment) -> Signs:
@@ -123,7 +132,8 @@ def signs_at_constant_velocity(moment: Moment) -> Signs:
     near = _near(moment, pairs, (going_on, steady))
     pairs, going_on, steady = pairs.of(near), going_on.of(near), steady.of(near)
     unknown = _Slots(np.full(pairs.index.shape, 0.5), np.zeros(len(near), dtype=np.bool_))
-    return _signs(moment, pairs, (steady, going_on, steady), unknown, unknown)
+    one = _Modes(steady.enter_s[..., None], steady.leave_s[..., None], np.ones((len(near), 2, 1)))
+    return _signs(moment, pairs, (steady, going_on, steady), one, unknown, unknown)
 
 
 def _futures(moment: Moment) -> tuple[Pairs, Times, Times]:
@@ -133,10 +143,13 @@ def _futures(moment: Moment) -> tuple[Pairs, Times, Times]:
 
 
 def _near(moment: Moment, pairs: Pairs, futures: tuple[Times, ...]) -> IntArray:
-    soonest_s = np.min([times.second_s() for times in futures], axis=0)
+    both_soon = np.min([times.second_s() for times in futures], axis=0) < LOOKED_AHEAD_S
+    # Who waits may set off at any time.
+    comes = futures[-1].enter_s[:, ::-1] < LOOKED_AHEAD_S
+    both_soon |= (comes & (pairs.room_m < WAITS_M)).any(axis=1)
     follows = pairs.type == FOLLOW
     behind = (pairs.room_m[:, 1] < LOOKED_AHEAD_M) & (moment.scene.speed_mps[pairs.index[:, 1]] > 1)
-    return np.flatnonzero(np.where(follows, behind, soonest_s < LOOKED_AHEAD_S))
+    return np.flatnonzero(np.where(follows, behind, both_soon))
 
 
 # ---------------------------------------------------------------------------------------------
@@ -144,7 +157,12 @@ def _near(moment: Moment, pairs: Pairs, futures: tuple[Times, ...]) -> IntArray:
 
 
 def _signs(
-    moment: Moment, pairs: Pairs, futures: tuple[Times, ...], now: _Slots, before: _Slots
+    moment: Moment,
+    pairs: Pairs,
+    futures: tuple[Times, ...],
+    modes: _Modes,
+    now: _Slots,
+    before: _Slots,
 ) -> Signs:
     speed = moment.scene.speed_mps
     gain_mps2 = acceleration_mps2(moment)
@@ -157,10 +175,7 @@ def _signs(
             np.column_stack((one.enter_s[:, 0], other.enter_s[:, 1])),
             np.column_stack((one.leave_s[:, 0], other.leave_s[:, 1])),
         )
-        surely = _below(times.encroachment_s(), at_once_s, 0.25) * _below(
-            times.second_s(), soon_s, 0.5
-        )
-        return np.where(meets, surely, 0.0)
+        return np.where(meets, _surely(times, at_once_s, soon_s), 0.0)
 
     mixed = [
         np.maximum(
@@ -188,6 +203,7 @@ def _signs(
         *mixed,
         most,
         np.mean(mixed, axis=0),
+        *np.where(meets, modes.meet(), 0.0),
         *(there(one, one, AT_ONCE_S, 3.0) for one in futures),
         *(there(one, one, 1.5, SOON_S) for one in futures),
         needed / MOST_MPS2,
@@ -220,6 +236,11 @@ def _signs(
         v.min(axis=1) / FASTEST_MPS * most,
     )  # fmt: skip
     return Signs(pairs, futures[1], np.column_stack(columns).astype(np.float64))
+
+
+def _surely(times: Times, at_once_s: float, soon_s: float) -> FloatArray:
+    """How surely two are in their area at once, or nearly so, soon [...]."""
+    return _below(times.encroachment_s(), at_once_s, 0.25) * _below(times.second_s(), soon_s, 0.5)
 
 
 def _below(value: FloatArray, bound: float, blur: float) -> FloatArray:
@@ -282,6 +303,60 @@ def _to_line_m(moment: Moment, pairs: Pairs) -> FloatArray:
     own &= (gate_s <= point) & (gate_s > point - BEFORE_CONFLICT_M)
     way_m = np.where(own, gate_s - s[..., None], np.inf).min(axis=-1, initial=np.inf)
     return np.asarray(way_m - 0.5 * pairs.length_m)
+
+
+@dataclass(frozen=True, eq=False)
+class _Modes:
+    """When the two of each pair are in their area, in each of K predicted modes [P, 2, K]."""
+
+    enter_s: FloatArray
+    leave_s: FloatArray
+    weight: FloatArray
+
+    def meet(self) -> FloatArray:
+        """The four signs [4, P] of modes."""
+        pairs, _, count = self.weight.shape
+        shape = (pairs, count, count)
+
+        def both(of: FloatArray) -> FloatArray:
+            each = np.broadcast_to(of[:, 0, :, None], shape), np.broadcast_to(of[:, 1, None], shape)
+            return np.stack([one.reshape(-1) for one in each], axis=1)
+
+        times = Times(both(self.enter_s), both(self.leave_s))
+        weight = both(self.weight)
+        chance = weight.prod(axis=1).reshape(pairs, count * count)
+        has_weight = (weight.min(axis=1) >= SOME_WEIGHT).reshape(pairs, count * count)
+        surely = _surely(times, AT_ONCE_S, SOON_S).reshape(pairs, count * count)
+        soon = _surely(times, AT_ONCE_S, 3.0).reshape(pairs, count * count)
+        enters = np.minimum(self.enter_s, FAR_S)
+        mean = (self.weight * enters).sum(axis=2, keepdims=True)
+        spread = np.sqrt((self.weight * (enters - mean) ** 2).sum(axis=2)).max(axis=1)
+        return np.stack(
+            (
+                (chance * surely).sum(axis=1),
+                (chance * soon).sum(axis=1),
+                (has_weight * surely).max(axis=1, initial=0.0),
+                spread / FAR_S,
+            )
+        )
+
+
+def _modes(moment: Moment, pairs: Pairs) -> _Modes:
+    prediction = moment.prediction
+    vehicles, count = prediction.mode_probability.shape
+    here = np.broadcast_to(moment.scene.xy_m[:, None, None], (vehicles, count, 1, 2))
+    path = np.concatenate((here, prediction.xy_m), axis=2)
+    way_m = np.cumsum(np.linalg.norm(np.diff(path, axis=2), axis=3), axis=2)
+    row = pairs.index[..., None] * count + np.arange(count)
+    enter, leave = (
+        arrival_s(
+            way_m.reshape(vehicles * count, -1),
+            row.reshape(-1),
+            np.repeat(to_m.reshape(-1), count),
+        ).reshape(row.shape)
+        for to_m in (pairs.room_m, pairs.clear_m)
+    )
+    return _Modes(enter, leave, prediction.mode_probability[pairs.index])
 
 
 @dataclass(frozen=True, eq=False)

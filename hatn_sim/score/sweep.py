@@ -20,7 +20,7 @@ from hatn_sim.datatypes import BoolArray, FloatArray
 from hatn_sim.score.assessed import AssessedRun
 from hatn_sim.score.assistance import warned
 
-THRESHOLDS: Final = 40
+THRESHOLDS: Final = 80
 ROUNDING: Final = 1e-9
 
 
