@@ -46,7 +46,7 @@ def _deviations(moment: Moment, signs: Signs, chance: FloatArray) -> PairDangers
 
 
 def constant_velocity_rule(moment: Moment) -> PairDangers:
-    """The same rule for CONFLICT, told that everybody is predicted to go on at constant velocity."""
+    """The same rule for CONFLICT, told that all are predicted to go on at constant velocity."""
     return _conflicts(moment, HATN)
 
 
