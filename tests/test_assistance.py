@@ -247,8 +247,8 @@ def test_verdicts_and_regret_by_hand() -> None:
         return {
             "about": "suggestion",
             "lost": False,
-            "slot_id": "b",
-            "driver_slot_id": driver,
+            "action": "yield",
+            "driver_action": driver,
         } | costs
 
     lines = (
@@ -257,8 +257,8 @@ def test_verdicts_and_regret_by_hand() -> None:
         alert_line("unneeded", 0),
         alert_line("harmful", 0),
         {"about": "alert", "lost": True},
-        slot_line("b", 0.0, 2.0, 0.0),
-        slot_line("a", 1.0, 4.0, 3.0),
+        slot_line("yield", 0.0, 2.0, 0.0),
+        slot_line("pass", 1.0, 4.0, 3.0),
         slot_line(None, 2.0, 0.0, 1.0),
     )
     scores = counterfactual_scores([replace(run_of(), counterfactuals=lines)], RULE, "s", "r")

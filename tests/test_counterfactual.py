@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from hatn_sim import cli
-from hatn_sim.datatypes import DT_S, Branch, FloatArray, SafetyEvent
+from hatn_sim.datatypes import DT_S, Branch, FloatArray, SafetyEvent, SemanticGraphs
 from hatn_sim.score.counterfactual import (
     CounterfactualSettings,
     concerning,
@@ -21,7 +22,7 @@ from hatn_sim.score.counterfactual import (
     verdict,
 )
 from hatn_sim.score.counterfactual_tally import tally, tally_words
-from hatn_sim.score.what_if import is_sampled
+from hatn_sim.score.what_if import driver_action, is_sampled
 
 FRAMES = 51
 
@@ -170,17 +171,12 @@ def test_samples_have_their_rate_and_repeat() -> None:
 
 
 def test_the_tally() -> None:
-    def suggestion(own: float, driver_slot: str | None) -> dict[str, Any]:
-        slots = {
-            "about": "suggestion",
-            "lost": False,
-            "slot_id": "a",
-            "driver_slot_id": driver_slot,
-        }
+    def suggestion(own: float, driver: str | None) -> dict[str, Any]:
+        slots = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
         return slots | {"regret": own, "always_yield_regret": 4.0, "driver_regret": 2.0}
 
     alerts = [{"about": "alert", "lost": False, "verdict": v} for v in ("useful", "unneeded")]
-    lines = [*alerts, suggestion(1.0, "a"), suggestion(2.0, "b"), suggestion(3.0, None)]
+    lines = [*alerts, suggestion(1.0, "yield"), suggestion(2.0, "pass"), suggestion(3.0, None)]
     found = tally([*lines, {"about": "alert", "lost": True}])
     assert (found.alerts, found.alerts_on_events, found.lost) == (2, 1, 1)
     assert (found.regrets.n, found.regrets.advised, found.regrets.always_yield) == (3, 2.0, 4.0)
@@ -189,6 +185,69 @@ def test_the_tally() -> None:
     assert words[0].startswith("counterfactuals: 2 alerts judged: 1 useful, 1 unneeded, 0 harmful")
     assert words[-1].startswith("settings of counterfactuals: reaction_s 1, horizon_s 8")
     assert tally([]).regrets.advised is None
+
+
+# ---------------------------------------------------------------------------------------------
+# What the driver does about the vehicle that the advice names
+
+
+def crossing(other_mps: FloatArray, ego_mps: FloatArray) -> Branch:
+    """The ego comes from the west, the other from the south; they cross at (0, 0)."""
+    one = branch({"ego": ego_mps, "other": other_mps}, {"ego": (-20.0, 0.0), "other": (-20.0, 0.0)})
+    turned = one.xy_m.copy()
+    turned[:, 1] = one.xy_m[:, 1, ::-1]
+    return replace(one, xy_m=turned)
+
+
+def graphs_of(other_m: float = 20.0) -> SemanticGraphs:
+    """The ego's graph, with the other behind node 1; what is not asked for is empty."""
+    nothing: Any = np.zeros(0)
+    told = {field.name: nothing for field in fields(SemanticGraphs)}
+    return SemanticGraphs(
+        **told
+        | {
+            "ids": ("ego", "other"),
+            "ego": np.array([0]),
+            "rear": np.array([[0, 1, -1]]),
+            "focus_mask": np.array([[True, True, False]]),
+            "ego_to_conflict_m": np.array([[20.0, 20.0, 0.0]]),
+            "rear_to_conflict_m": np.array([[0.0, other_m, 0.0]]),
+            "conflict_xy_m": np.zeros((1, 3, 2)),
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("other_mps", "ego_mps", "expected"),
+    [
+        (constant(8.0), constant(10.0), "pass"),
+        (constant(10.0), constant(8.0), "yield"),
+        (constant(8.0), constant(8.0), "yield"),  # at once, as in labels
+        (constant(1.0), constant(10.0), "pass"),  # it is still on its way at the end
+        (constant(10.0), constant(1.0), "yield"),
+        (constant(1.0), constant(1.0), None),
+    ],
+)
+def test_what_the_driver_does_about_another(
+    other_mps: FloatArray, ego_mps: FloatArray, expected: str | None
+) -> None:
+    assert driver_action(crossing(other_mps, ego_mps), graphs_of(), 0, "other") == expected
+
+
+def test_nothing_is_told_of_another_who_never_comes() -> None:
+    both = crossing(constant(5.0), constant(10.0))
+    assert driver_action(both, graphs_of(), 0, "other") == "pass"
+    # It drives as far as the conflict, but elsewhere.
+    elsewhere = both.xy_m.copy()
+    elsewhere[:, 1, 0] = 30.0
+    assert driver_action(replace(both, xy_m=elsewhere), graphs_of(), 0, "other") is None
+    # It leaves view before.
+    valid = both.valid.copy()
+    valid[20:, 1] = False
+    assert driver_action(replace(both, valid=valid), graphs_of(), 0, "other") is None
+    # The advice names somebody with whom there is no conflict.
+    alone = replace(graphs_of(), focus_mask=np.array([[True, False, False]]))
+    assert driver_action(both, alone, 0, "other") is None
 
 
 # ---------------------------------------------------------------------------------------------

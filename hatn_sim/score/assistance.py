@@ -25,7 +25,8 @@ when the offender first did otherwise than lawfully, if that was later (see `off
 | `harmful_share`, `unneeded_share` | share | of judged alerts |
 | `regret` | 1 | mean cost of the slot advised over that of the best, of judged suggestions |
 | `always_yield_regret`, `driver_regret` | 1 | the same of yielding, and of what the driver did |
-| `regret_where_different`, `driver_regret_where_different` | 1 | where the driver did otherwise |
+| `regret_where_different`, `driver_regret_where_different` | 1 | where the driver passed \
+before the vehicle that the advice names instead of yielding to it, or the reverse |
 | `lost_branches` | share | of what was to be judged: a branch died |
 
 `subset` is the risk profile, "all" where several are pooled. A measure of which there is nothing
@@ -49,6 +50,7 @@ from hatn_sim.config import DEFAULT_RISK
 from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, SafetyEvent, Score
 from hatn_sim.score import intervals
 from hatn_sim.score.assessed import AssessedRun
+from hatn_sim.score.counterfactual_tally import driver_differs
 from hatn_sim.score.dangers import alerts_at, oracle_alerts
 from hatn_sim.score.events import BRIEF
 from hatn_sim.score.matching import SEVERE, Outcome, match
@@ -339,10 +341,7 @@ def counterfactual_scores(
 
     def cost(key: str, where_different: bool = False) -> Callable[[Line], float | None]:
         def of(line: Line) -> float | None:
-            if line["lost"]:
-                return None
-            driver = line["driver_slot_id"]
-            if where_different and (driver is None or driver == line["slot_id"]):
+            if line["lost"] or (where_different and not driver_differs(line)):
                 return None
             return float(line[key])
 
