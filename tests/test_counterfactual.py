@@ -91,8 +91,9 @@ def test_a_verdict_compares_pair_by_pair(
 
 
 def test_events_of_third_ones_do_not_count() -> None:
-    events = [event("T1", "c", "d"), event("T2", "a", None), event("T1", "b", "c")]
-    assert concerning(events, "a", "b") == (events[1], events[2])
+    events = [event("T1", "c", "d"), event("T2", "a", None), event("T1", "b", "c"), event("T1")]
+    assert concerning(events, "a") == (events[1], events[3])
+    assert concerning(events, "b") == (events[2], events[3])
 
 
 def test_an_alert_obeyed() -> None:
@@ -107,15 +108,31 @@ def test_an_alert_obeyed() -> None:
     obeyed = branch(
         {"ego": constant(10.0), "behind": constant(10.0), "aside": ramp, "far": ramp}, starts
     )
-    judged = judge_alert(ignored, obeyed, "ego", "behind")
+    judged = judge_alert(ignored, obeyed, "ego")
     assert judged.verdict == "useful"
     assert [one.tier for one in judged.ignored] == ["T1"] and judged.obeyed == ()
     # 10 m/s for 5 s, against 10 to 4 m/s in 2 s and 4 m/s for 3 s.
     assert judged.others_lost_m == pytest.approx(50.0 - (14.0 + 12.0))
     assert judged.others_braking_mps2 == pytest.approx(3.0)  # of the one aside: "far" is unaffected
     assert judged.others_braked_mps2 == 0.0
-    assert judge_alert(obeyed, ignored, "ego", "behind").verdict == "harmful"
-    assert judge_alert(obeyed, obeyed, "ego", "behind").verdict == "unneeded"
+    assert judge_alert(obeyed, ignored, "ego").verdict == "harmful"
+    assert judge_alert(obeyed, obeyed, "ego").verdict == "unneeded"
+
+
+def test_braking_that_was_under_way_is_no_event_of_an_alert() -> None:
+    starts = {"ego": (0.0, 0.0), "other": (60.0, 0.0)}
+    hard, later = slowing(6.0, 0.0), constant(10.0)
+    later[20:] = slowing(6.0, 0.0)[: FRAMES - 20]
+    at_once, in_two_s, never = (
+        branch({"ego": own, "other": constant(0.0)}, starts)
+        for own in (hard, later, constant(10.0))
+    )
+    assert [one.start_s for one in judge_alert(in_two_s, never, "ego").ignored] == [102.0]
+    assert judge_alert(in_two_s, never, "ego").verdict == "useful"
+    assert judge_alert(at_once, at_once, "ego").verdict == "unneeded"
+    assert judge_alert(at_once, never, "ego").verdict == "unneeded"
+    # But whoever brakes so only where he obeys does it for that.
+    assert judge_alert(never, at_once, "ego").verdict == "harmful"
 
 
 # ---------------------------------------------------------------------------------------------
@@ -199,22 +216,19 @@ def crossing(other_mps: FloatArray, ego_mps: FloatArray) -> Branch:
     return replace(one, xy_m=turned)
 
 
-def graphs_of(other_m: float = 20.0) -> SemanticGraphs:
+def graphs_of() -> SemanticGraphs:
     """The ego's graph, with the other behind node 1; what is not asked for is empty."""
-    nothing: Any = np.zeros(0)
-    told = {field.name: nothing for field in fields(SemanticGraphs)}
-    return SemanticGraphs(
-        **told
-        | {
-            "ids": ("ego", "other"),
-            "ego": np.array([0]),
-            "rear": np.array([[0, 1, -1]]),
-            "focus_mask": np.array([[True, True, False]]),
-            "ego_to_conflict_m": np.array([[20.0, 20.0, 0.0]]),
-            "rear_to_conflict_m": np.array([[0.0, other_m, 0.0]]),
-            "conflict_xy_m": np.zeros((1, 3, 2)),
-        }
-    )
+    told: dict[str, Any] = {field.name: np.zeros(0) for field in fields(SemanticGraphs)}
+    told |= {
+        "ids": ("ego", "other"),
+        "ego": np.array([0]),
+        "rear": np.array([[0, 1, -1]]),
+        "focus_mask": np.array([[True, True, False]]),
+        "ego_to_conflict_m": np.array([[20.0, 20.0, 0.0]]),
+        "rear_to_conflict_m": np.array([[0.0, 20.0, 0.0]]),
+        "conflict_xy_m": np.zeros((1, 3, 2)),
+    }
+    return SemanticGraphs(**told)
 
 
 @pytest.mark.parametrize(

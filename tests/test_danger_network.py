@@ -163,6 +163,23 @@ def test_without_events_nothing_is_learned() -> None:
     assert fit_danger([], HATN) is None
 
 
+def test_of_a_pair_that_is_there_twice_the_worse_is_told() -> None:
+    """One follows the other, and both are at a conflict: as alerts have it, whichever is first."""
+    seen, recorder = signs_of(_MOMENT), SignRecorder()
+    twice = seen.pairs.of(np.array([0, 0]))
+    for time_s, told in enumerate(([0.9, 0.1], [0.2, 0.8])):
+        signs = np.zeros((2, len(SIGNS)))
+        signs[:, TOLD] = told
+        recorder.add(float(time_s), ("a", "b"), Signs(twice, seen.going_on, signs))
+    trace = recorder.trace()
+    assert len(trace.pairs.danger) == 4  # all are examples
+    found = trace.dangers(network())
+    signs = np.zeros((2, len(SIGNS)))
+    signs[:, TOLD] = [0.9, 0.8]
+    np.testing.assert_allclose(found.danger, network().chance(signs), rtol=1e-2)
+    assert found.time_s.tolist() == [0.0, 1.0]
+
+
 def test_signs_are_kept_in_the_file_of_a_run(tmp_path: Path) -> None:
     run = run_of(np.arange(9.0), 0.1 * np.arange(9.0), ())
     write_assessed(tmp_path / "run.npz", run)

@@ -204,7 +204,7 @@ def _slot_advised(
 
 def _alert_judge(alert: Alert) -> Callable[[Branch, list[Branch]], Line]:
     def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
-        return asdict(judge_alert(as_it_is, changed[0], alert.ego_id, alert.other_id))
+        return asdict(judge_alert(as_it_is, changed[0], alert.ego_id))
 
     return judge
 
