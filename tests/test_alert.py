@@ -195,7 +195,7 @@ def test_settings_are_read_and_what_is_not_named_stays(tmp_path: Path) -> None:
     ("text", "told"),
     [
         ("alert_onset_mps2 = 9", "unknown key 'alert_onset_mps2'; did you mean 'alert_onset'"),
-        ("alert_onset = 25", "alert_onset: expected 0 to 1, found 25; is it in the unit"),
+        ("alert_onset = 25", "alert_onset: expected 0.001 to 1, found 25; is it in the unit"),
         ("cool_down_s = nan", "cool_down_s: expected 0 to 60, found nan"),
         ("confident = '4'", "confident: expected a number, found '4'"),
         ("confident = true", "confident: expected a number, found True"),

@@ -72,6 +72,8 @@ def test_what_ships_fits_the_signs(rule: str) -> None:
         (lambda told: told["rules"].pop(HATN), "damage"),
         (lambda told: told["rules"][HATN]["out"].pop(), "expected"),
         (lambda told: told["rules"][HATN]["out"].__setitem__(0, float("nan")), "expected"),
+        (lambda told: told["rules"][HATN].update(out_bias=float("nan")), "finite out_bias"),
+        (lambda told: told["rules"][HATN]["scale"].__setitem__(0, 0.0), "scales above 0"),
     ],
 )
 def test_a_damaged_file_is_told_of(tmp_path: Path, change: object, told: str) -> None:
