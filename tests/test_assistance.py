@@ -226,6 +226,20 @@ def test_lead_times_are_quantiles_and_their_interval_is_over_runs() -> None:
     assert low is not None and high is not None and 1.0 <= low < 3.0 < high <= 5.0
 
 
+def test_a_share_of_all_or_of_none_is_not_certain() -> None:
+    """Three events, all preceded: with a chance of 0.025 ** (1/3) that happens once in 40."""
+    runs = [
+        run_of(seed, events=(event(150.0),), rows=held(148.0, 150.0, "ab", 0.9))
+        for seed in (1, 2, 3)
+    ]
+    scores = {one.measure: one for one in alert_scores(warned(runs, RULE, 0.5), RULE, "s", "r")}
+    recall = scores["event_recall"]
+    assert (recall.value, recall.high) == (1.0, 1.0)
+    assert recall.low == pytest.approx(0.025 ** (1 / 3))
+    assert scores["recall_2s5"].value == 0.0
+    assert scores["recall_2s5"].high == pytest.approx(1.0 - 0.025 ** (1 / 3))
+
+
 def test_suggestions_by_hand() -> None:
     scores = suggestion_scores([run_of(1), run_of(2)], RULE, "s", "r")
     assert value(scores, "suggestion_agreement") == 0.75
