@@ -257,13 +257,8 @@ def test_verdicts_and_regret_by_hand() -> None:
         return {"about": "alert", "lost": False, "verdict": verdict, "ignored": [{}] * ignored}
 
     def slot_line(driver: str | None, own: float, yielding: float, his: float) -> dict[str, object]:
-        costs = {"regret": own, "always_yield_regret": yielding, "driver_regret": his}
-        return {
-            "about": "suggestion",
-            "lost": False,
-            "action": "yield",
-            "driver_action": driver,
-        } | costs
+        said = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
+        return {**said, "regret": own, "always_yield_regret": yielding, "driver_regret": his}
 
     lines = (
         alert_line("useful", 1),

@@ -44,7 +44,9 @@ class CounterfactualSettings:
 
     reaction_s: float = 1.0
     horizon_s: float = 8.0  # a second of reaction, five of the profile, two to see what comes of it
-    blend_s: float = 0.5  # for the difference between the speeds foreseen and had after reacting
+    # For the difference between the speeds foreseen and had after reacting. Drivers change by 3 m/s
+    # in that second; to take that back at once would be evasive braking of our own making.
+    blend_s: float = 2.0
     per_delay_s: float = 1.0
     per_missing_gap_s: float = 2.0  # of the ego's least encroachment time under `gap_s`
     gap_s: float = 1.5
