@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_alert import moment
 
-from hatn_sim.assist.danger import CONSTANT_VELOCITY, HATN
+from hatn_sim.assist.danger import HATN, NO_PREDICTION
 from hatn_sim.assist.danger_network import (
     DangerNetwork,
     danger_network,
@@ -58,7 +58,7 @@ def test_the_file_says_the_same(tmp_path: Path) -> None:
     assert json.loads(path.read_text())["card"] == {"seeds": [1]}
 
 
-@pytest.mark.parametrize("rule", [HATN, CONSTANT_VELOCITY])
+@pytest.mark.parametrize("rule", [HATN, NO_PREDICTION])
 def test_what_ships_fits_the_signs(rule: str) -> None:
     chance = danger_network("", rule).chance(np.zeros((3, len(SIGNS))))
     assert ((chance >= 0.0) & (chance <= 1.0)).all()

@@ -22,8 +22,8 @@ from hatn_sim.assist.signs import Signs, signs_at_constant_velocity, signs_of, y
 from hatn_sim.datatypes import FloatArray, IntArray
 
 HATN: Final = "hatn"
-CONSTANT_VELOCITY: Final = "constant_velocity"
-SIGNS_OF: Final = {HATN: signs_of, CONSTANT_VELOCITY: signs_at_constant_velocity}
+NO_PREDICTION: Final = "no_prediction"
+SIGNS_OF: Final = {HATN: signs_of, NO_PREDICTION: signs_at_constant_velocity}
 """Rules that a network is fitted for, and what it sees."""
 
 
@@ -59,7 +59,16 @@ def _deviations(moment: Moment, signs: Signs, first: IntArray, chance: FloatArra
 
 
 def constant_velocity_rule(moment: Moment) -> PairDangers:
-    """The same rule for CONFLICT, fitted likewise, with constant velocity as the prediction."""
+    """The same rule for CONFLICT, told that all are predicted to go on at constant velocity."""
+    return _conflicts(moment, HATN)
+
+
+def no_prediction_rule(moment: Moment) -> PairDangers:
+    """A network that was fitted likewise, but never saw a prediction: it tells what one adds."""
+    return _conflicts(moment, NO_PREDICTION)
+
+
+def _conflicts(moment: Moment, rule: str) -> PairDangers:
     signs = signs_at_constant_velocity(moment)
-    network = danger_network(moment.settings.danger_network, CONSTANT_VELOCITY)
+    network = danger_network(moment.settings.danger_network, rule)
     return pair_dangers(signs.pairs.index, network.chance(signs.of))

@@ -24,8 +24,8 @@ from hatn_sim.errors import InputError, nearest
 class AssistSettings:
     """The settings; those that ship were calibrated on seeds of their own."""
 
-    alert_onset: float = 0.25
-    alert_end: float = 0.2
+    alert_onset: float = 0.321
+    alert_end: float = 0.2568
     end_after_s: float = 0.5
     cool_down_s: float = 2.0
     confident: float = 0.95
