@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,38 @@ def test_baselines_by_hand() -> None:
     np.testing.assert_allclose(found["encroachment"], 5.0 - (16.5 / 9 - 23.5 / 10), rtol=0.02)
 
 
+def test_who_gives_way_more_easily_is_warned() -> None:
+    """Of two at a conflict the one who is farther off or slower, of two who follow the follower."""
+    for one, other, warned in (
+        ((25.0, 9.0, 0.0), (20.0, 9.0, 0.0), "a"),
+        ((20.0, 9.0, 0.0), (25.0, 9.0, 0.0), "b"),
+    ):
+        seen = moment(one, other)
+        found = hatn_rule(seen)
+        assert seen.scene.ids[found.first[0]] == warned
+    state = begin(Road(crossing_lanes()))
+    for frame in range(11):
+        way_m = 0.1 * frame * 12.0
+        vehicles = {"front": (-20.0, 0.0, 0.0, 0.5), "rear": (-52.0 + way_m, 0.0, 0.0, 12.0)}
+        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
+    scene = state.seen.scene
+    following = replace(
+        moment((25.0, 9.0, 0.0), (20.0, 9.0, 0.0)),
+        road=state.road,
+        seen=state.seen,
+        prediction=Prediction(
+            ids=scene.ids,
+            xy_m=extrapolate(scene)[:, None],
+            mode_probability=np.ones((2, 1)),
+            fallback=np.zeros(2, dtype=np.bool_),
+            adapted=np.zeros(2, dtype=np.bool_),
+            lines=state.seen.lines,
+        ),
+    )
+    found = hatn_rule(following)
+    assert [scene.ids[v] for v in found.first.tolist()] == ["rear"]
+
+
 # ---------------------------------------------------------------------------------------------
 # Intervals
 
@@ -195,7 +228,7 @@ def test_settings_are_read_and_what_is_not_named_stays(tmp_path: Path) -> None:
     ("text", "told"),
     [
         ("alert_onset_mps2 = 9", "unknown key 'alert_onset_mps2'; did you mean 'alert_onset'"),
-        ("alert_onset = 25", "alert_onset: expected 0 to 1, found 25; is it in the unit"),
+        ("alert_onset = 25", "alert_onset: expected 0.001 to 1, found 25; is it in the unit"),
         ("cool_down_s = nan", "cool_down_s: expected 0 to 60, found nan"),
         ("confident = '4'", "confident: expected a number, found '4'"),
         ("confident = true", "confident: expected a number, found True"),

@@ -72,6 +72,8 @@ def test_what_ships_fits_the_signs(rule: str) -> None:
         (lambda told: told["rules"].pop(HATN), "damage"),
         (lambda told: told["rules"][HATN]["out"].pop(), "expected"),
         (lambda told: told["rules"][HATN]["out"].__setitem__(0, float("nan")), "expected"),
+        (lambda told: told["rules"][HATN].update(out_bias=float("nan")), "finite out_bias"),
+        (lambda told: told["rules"][HATN]["scale"].__setitem__(0, 0.0), "scales above 0"),
     ],
 )
 def test_a_damaged_file_is_told_of(tmp_path: Path, change: object, told: str) -> None:
@@ -161,6 +163,23 @@ def test_chances_that_are_learned_are_those_of_the_traffic() -> None:
 def test_without_events_nothing_is_learned() -> None:
     assert fit_danger([run_of(np.arange(9.0), np.zeros(9), ())], HATN) is None
     assert fit_danger([], HATN) is None
+
+
+def test_of_a_pair_that_is_there_twice_the_worse_is_told() -> None:
+    """One follows the other, and both are at a conflict: as alerts have it, whichever is first."""
+    seen, recorder = signs_of(_MOMENT), SignRecorder()
+    twice = seen.pairs.of(np.array([0, 0]))
+    for time_s, told in enumerate(([0.9, 0.1], [0.2, 0.8])):
+        signs = np.zeros((2, len(SIGNS)))
+        signs[:, TOLD] = told
+        recorder.add(float(time_s), ("a", "b"), Signs(twice, seen.going_on, signs))
+    trace = recorder.trace()
+    assert len(trace.pairs.danger) == 4  # all are examples
+    found = trace.dangers(network())
+    signs = np.zeros((2, len(SIGNS)))
+    signs[:, TOLD] = [0.9, 0.8]
+    np.testing.assert_allclose(found.danger, network().chance(signs), rtol=1e-2)
+    assert found.time_s.tolist() == [0.0, 1.0]
 
 
 def test_signs_are_kept_in_the_file_of_a_run(tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ import numpy as np
 
 from hatn_sim.assist.danger_network import danger_network
 from hatn_sim.assist.moment import CONFLICT, DEVIATION, Moment, PairDangers, pair_dangers
+from hatn_sim.assist.risk import deceleration_to_avoid_mps2
 from hatn_sim.assist.signs import Signs, signs_at_constant_velocity, signs_of, yield_probability
-from hatn_sim.datatypes import FloatArray
+from hatn_sim.datatypes import FloatArray, IntArray
 
 HATN: Final = "hatn"
 NO_PREDICTION: Final = "no_prediction"
@@ -30,19 +31,31 @@ def hatn_rule(moment: Moment) -> PairDangers:
     """Ours: CONFLICT and DEVIATION, by HATN's prediction."""
     signs = signs_of(moment)
     chance = danger_network(moment.settings.danger_network, HATN).chance(signs.of)
+    index = _better_placed_first(moment, signs)
     if moment.earlier is None or not len(chance):
-        return pair_dangers(signs.pairs.index, chance)
-    return _deviations(moment, signs, chance)
+        return pair_dangers(index, chance)
+    return _deviations(moment, signs, index, chance)
 
 
-def _deviations(moment: Moment, signs: Signs, chance: FloatArray) -> PairDangers:
+def _better_placed_first(moment: Moment, signs: Signs) -> IntArray:
+    """The pairs [P, 2], the first of each the one who can give way with less braking: of two who
+    follow, the follower. Where both are warned, it is up to him."""
+    index = signs.pairs.index
+    leave_s = signs.going_on.leave_s
+    needed = deceleration_to_avoid_mps2(signs.pairs, moment.scene.speed_mps, leave_s)
+    return np.where(needed[:, 1:] < needed[:, :1], index[:, ::-1], index)
+
+
+def _deviations(moment: Moment, signs: Signs, first: IntArray, chance: FloatArray) -> PairDangers:
     assert moment.earlier is not None
     index, enter_s = signs.pairs.index, signs.going_on.enter_s
     yielded = yield_probability(moment.scene.ids, index, moment.earlier)
     sure = np.nan_to_num(yielded, nan=0.0) > moment.settings.confident
     deviates = sure & (enter_s < enter_s[:, ::-1])  # [P, 2] goes first all the same
-    index = np.where(deviates[:, 1:] & ~deviates[:, :1], index[:, ::-1], index)
-    return pair_dangers(index, chance, np.where(deviates.any(axis=1), DEVIATION, CONFLICT))
+    some = deviates.any(axis=1)
+    by_who = np.where(deviates[:, 1:] & ~deviates[:, :1], index[:, ::-1], index)
+    index = np.where(some[:, None], by_who, first)
+    return pair_dangers(index, chance, np.where(some, DEVIATION, CONFLICT))
 
 
 def constant_velocity_rule(moment: Moment) -> PairDangers:

@@ -32,8 +32,10 @@ class AssistSettings:
     danger_network: str = ""
 
 
+LEAST_CHANCE: Final = 1e-3
+"""What is less likely is no danger: nothing is told of it."""
 RANGES: Final = {
-    "alert_onset": (0.0, 1.0),
+    "alert_onset": (LEAST_CHANCE, 1.0),
     "alert_end": (0.0, 1.0),
     "end_after_s": (0.0, 10.0),
     "cool_down_s": (0.0, 60.0),

@@ -317,7 +317,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.learn.danger_study import fit_all, held_out_runs
-    from hatn_sim.score.sweep import best_within, sweep, thresholds_of
+    from hatn_sim.score.sweep import best_within, operating, sweep, thresholds_of
     from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
     if len({run.seed for run in runs}) < 2:
@@ -339,8 +339,9 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
             f"no threshold keeps within {arguments.false_alarms:g} false alarms per vehicle-hour; "
             "allow more with --false-alarms, or add runs"
         )
-    # Rounded up, so that what is written is as strict.
+    # Rounded up, so that what is written is as strict; the figures told are those of it.
     onset = math.ceil(1000.0 * best.threshold) / 1000.0
+    best = operating(judged, HATN, onset, settings)
     release = settings.alert_end / settings.alert_onset
     found = replace(settings, alert_onset=onset, alert_end=round(release * onset, 4))
     card = {
