@@ -25,7 +25,7 @@ from hatn_sim.score.dangers import DangerRecorder, alerts_at
 
 NORTH = np.pi / 2
 SETTINGS = AssistSettings()
-WHY = "likely to collide or to brake hard within 5 s"
+WHY = "danger 0.90 (of 1) to collide or to brake hard within 5 s"
 
 
 def moment(
@@ -161,7 +161,7 @@ def test_an_alert_begins_peaks_and_ends() -> None:
     assert [round(one.time_s, 1) for one in told] == [0.1, 0.2, 0.3]
     assert [one.severity for one in told] == pytest.approx([on, 0.9, 0.9])
     assert {(one.alert_id, one.ego_id, one.other_id) for one in told} == {("a00001", "b", "a")}
-    assert told[1].reason == f"90 % {WHY}"
+    assert told[1].reason == WHY
 
 
 def test_danger_that_comes_back_soon_is_the_same_alert() -> None:
@@ -180,7 +180,7 @@ def test_egos_choose_whose_alerts_are_told_and_who_is_ego() -> None:
 def test_a_deviation_names_who_deviates() -> None:
     told = edges_of([0.9], frozenset({"a"}), DEVIATION)
     assert {one.type for one in told} == {"DEVIATION"}
-    assert told[0].reason == f"b was to give way; 90 % {WHY}"
+    assert told[0].reason == f"b was to give way; {WHY}"
 
 
 def test_live_alerts_are_those_found_afterwards_in_the_trace() -> None:

@@ -45,8 +45,8 @@ def test_a_chance_by_hand() -> None:
     signs = np.full((2, len(SIGNS)), 0.5)
     signs[1, TOLD] = 0.6
     logits = [3.0 * np.tanh(0.1 + 2.0 * k * 0.4) + np.tanh(0.3) - 1.0 for k in (0, 1)]
-    np.testing.assert_allclose(network().chance(signs), 1.0 / (1.0 + np.exp(-np.array(logits))))
-    assert network(-50.0).chance(signs).tolist() == [0.0, 0.0]  # below what is told
+    np.testing.assert_allclose(network().danger(signs), 1.0 / (1.0 + np.exp(-np.array(logits))))
+    assert network(-50.0).danger(signs).tolist() == [0.0, 0.0]  # below what is told
 
 
 def test_the_file_says_the_same(tmp_path: Path) -> None:
@@ -54,13 +54,13 @@ def test_the_file_says_the_same(tmp_path: Path) -> None:
     write_danger_networks(path, {HATN: network()}, {"seeds": [1]})
     signs = np.random.default_rng(0).random((5, len(SIGNS)))
     read = danger_network(str(path), HATN)
-    np.testing.assert_allclose(read.chance(signs), network().chance(signs), rtol=1e-4)
+    np.testing.assert_allclose(read.danger(signs), network().danger(signs), rtol=1e-4)
     assert json.loads(path.read_text())["card"] == {"seeds": [1]}
 
 
 @pytest.mark.parametrize("rule", [HATN, NO_PREDICTION])
 def test_what_ships_fits_the_signs(rule: str) -> None:
-    chance = danger_network("", rule).chance(np.zeros((3, len(SIGNS))))
+    chance = danger_network("", rule).danger(np.zeros((3, len(SIGNS))))
     assert ((chance >= 0.0) & (chance <= 1.0)).all()
 
 
@@ -151,13 +151,13 @@ def test_chances_that_are_learned_are_those_of_the_traffic() -> None:
     assert fitted is not None
     signs = np.zeros((2, len(SIGNS)))
     signs[1, TOLD] = 1.0
-    low, high = fitted.chance(signs)
+    low, high = fitted.danger(signs)
     share = np.mean([len(run.events) for run in runs]) / (0.25 * 500)
     assert high == pytest.approx(share, abs=0.05)
     assert low < 0.02
     again = fit_danger(runs, HATN)
     assert again is not None
-    np.testing.assert_array_equal(again.chance(signs), [low, high])
+    np.testing.assert_array_equal(again.danger(signs), [low, high])
 
 
 def test_without_events_nothing_is_learned() -> None:
@@ -178,7 +178,7 @@ def test_of_a_pair_that_is_there_twice_the_worse_is_told() -> None:
     found = trace.dangers(network())
     signs = np.zeros((2, len(SIGNS)))
     signs[:, TOLD] = [0.9, 0.8]
-    np.testing.assert_allclose(found.danger, network().chance(signs), rtol=1e-2)
+    np.testing.assert_allclose(found.danger, network().danger(signs), rtol=1e-2)
     assert found.time_s.tolist() == [0.0, 1.0]
 
 

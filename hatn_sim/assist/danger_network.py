@@ -1,6 +1,6 @@
 """The network that tells the danger of a pair from its signs, and its file.
 
-One hidden layer: chance = logistic(b + w . tanh(B + W (signs - mean) / scale)). The file is JSON
+One hidden layer: danger = logistic(b + w . tanh(B + W (signs - mean) / scale)). The file is JSON
 and carries its card: what it was fitted to.
 """
 
@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hatn_sim.assist.settings import LEAST_CHANCE
+from hatn_sim.assist.settings import LEAST_DANGER
 from hatn_sim.assist.signs import SIGNS
 from hatn_sim.datatypes import FloatArray
 from hatn_sim.errors import InputError
@@ -41,12 +41,12 @@ class DangerNetwork:
     out: FloatArray  # [H]
     out_bias: float
 
-    def chance(self, signs: FloatArray) -> FloatArray:
-        """[P] of pairs with signs [P, S]; 0 below `LEAST_CHANCE`."""
+    def danger(self, signs: FloatArray) -> FloatArray:
+        """[P] of pairs with signs [P, S]; 0 below `LEAST_DANGER`."""
         unit = np.tanh(((signs - self.mean) / self.scale) @ self.hidden + self.hidden_bias)
         logit = np.clip(unit @ self.out + self.out_bias, -30.0, 30.0)
-        chance = 1.0 / (1.0 + np.exp(-logit))
-        return np.where(chance < LEAST_CHANCE, 0.0, chance)
+        danger = 1.0 / (1.0 + np.exp(-logit))
+        return np.where(danger < LEAST_DANGER, 0.0, danger)
 
 
 @cache

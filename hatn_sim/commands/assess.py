@@ -317,7 +317,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.learn.danger_study import fit_all, held_out_runs
-    from hatn_sim.score.sweep import best_within, operating, sweep, thresholds_of
+    from hatn_sim.score.sweep import operating, sharpest_within, sweep, thresholds_of
     from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
     if len({run.seed for run in runs}) < 2:
@@ -333,7 +333,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     settings = _settings(arguments)
     judged = held_out_runs(runs, HATN)
     curve = sweep(judged, HATN, thresholds_of(judged, HATN), settings)
-    best = best_within(curve, arguments.false_alarms)
+    best = sharpest_within(judged, HATN, curve, arguments.false_alarms, settings)
     if best is None:
         raise HatnSimError(
             f"no threshold keeps within {arguments.false_alarms:g} false alarms per vehicle-hour; "
@@ -359,7 +359,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     lines.append(f'{NETWORK} = "{NETWORK_FILE}"')
     save_whole(path, "\n".join(lines) + "\n", ROOM_OR_OUT)
     print(
-        f"alerts from a danger of {100.0 * onset:.1f} % on: {best.false_alarms_per_hour:.2f} false "
+        f"alerts from a danger of {onset:g} on: {best.false_alarms_per_hour:.2f} false "
         f"alarms per vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "
         f"{_percent(best.recall_1s5)} by 1.5 s or more (on runs that the network was not fitted "
         f"to); settings in {path}, the network in {out / NETWORK_FILE}"

@@ -4,8 +4,8 @@ A pair's row is an example of danger if a T1 or T2 event of the pair begins with
 `WITHIN_S`, and of none if no event of the pair is near; rows before events that are not severe say
 little, rows after a severe one nothing. Rows long before count less: few of them show anything yet.
 
-Otherwise an example's weight is that which it has in the traffic, so that the output is a chance
-there.
+Each row has the weight that it has in the traffic, but for those named and for the quiet rows of
+scripted scenes: so that what is fitted ranks dangers, and is near a probability, but is none.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ RATE: Final = 1e-2
 DECAY: Final = 0.3
 NEAR_WEIGHT: Final = 0.1
 SCRIPTED_WEIGHT: Final = 10.0
-"""Of rows without danger in the scenes of suites: violations are as frequent there as nowhere else."""
+"""Of rows without danger in the scenes of suites: violations are frequent there."""
 EARLY_S: Final = 4.0
 EARLY_WEIGHT: Final = 0.2
 LEAST_SCALE: Final = 1e-2

@@ -27,7 +27,7 @@ class SignTrace:
 
     def dangers(self, network: DangerNetwork) -> DangerTrace:
         """What a network says of them."""
-        chance = network.chance(self.signs.astype(np.float64))[self.pairs.danger.astype(np.int64)]
+        chance = network.danger(self.signs.astype(np.float64))[self.pairs.danger.astype(np.int64)]
         return worst_of_each(replace(self.pairs, danger=chance))
 
 
