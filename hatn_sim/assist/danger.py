@@ -53,7 +53,7 @@ def _deviations(moment: Moment, signs: Signs, first: IntArray, danger: FloatArra
     sure = np.nan_to_num(yielded, nan=0.0) > moment.settings.confident
     # [P, 2] goes first all the same
     deviates: BoolArray = np.asarray(sure & (enter_s < enter_s[:, ::-1]))
-    some = deviates.any(axis=1)
+    some: BoolArray = np.asarray(deviates.any(axis=1))
     by_who = np.where(deviates[:, 1:] & ~deviates[:, :1], index[:, ::-1], index)
     index = np.where(some[:, None], by_who, first)
     return pair_dangers(index, danger, np.where(some, DEVIATION, CONFLICT))
