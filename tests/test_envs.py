@@ -116,8 +116,8 @@ def test_an_observation_worked_out_by_hand() -> None:
     assert on_road["speed limit at 0 m"] == pytest.approx(13.9)
     assert on_road["has a conflict"] == 1.0
     assert on_road["way to the nearest conflict, 50: none"] == pytest.approx(30.0, abs=0.3)
-    # The line is 8 m before the crossing; the front bumper 2.5 m before the centre, which counts.
-    gate = on_road["to a stop line, give-way line or closed signal, 50: none"]
+    # The stop line is 8 m before the crossing; what counts is the centre of the ego.
+    gate = on_road["centre to a stop line, give-way line or closed signal, 50: none"]
     assert gate == pytest.approx(22.0, abs=0.3)
     assert on_road["has a leader"] == 0.0
     assert on_road["gap to the leader, 60: none"] == 60.0
@@ -441,6 +441,14 @@ def test_the_same_seed_gives_the_same_episode(name: str, make: Any) -> None:
     assert all(map(same, play(one, 20, 4), play(other, 20, 4)))
     # The first has been here before; what it has drawn of the road since is without effect.
     assert all(map(same, play(one, 8, 4), play(other, 8, 4)))
+
+
+def test_the_seed_told_repeats_an_episode_that_was_drawn(make: Any) -> None:
+    one, other = make(**CROSSING), make(**CROSSING)
+    one.reset(seed=4)
+    observation, info = one.reset()
+    again, same_info = other.reset(seed=info["seed"])
+    assert same(observation, again) and info == same_info
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ ON_ROAD: Final = (
     *(Feature(f"speed limit at {at:g} m", 0.0, 40.0, "m/s") for at in ROAD_AT_M),
     *(Feature(f"curvature at {at:g} m, left positive", -0.5, 0.5, "1/m") for at in ROAD_AT_M),
     Feature("time stood still, up to 4 s", 0.0, 4.1, "s"),
-    Feature("to a stop line, give-way line or closed signal, 50: none", 0.0, 50.0, "m"),
+    Feature("centre to a stop line, give-way line or closed signal, 50: none", 0.0, 50.0, "m"),
     _flag("has a conflict"),
     Feature("way to the nearest conflict, 50: none", -10.0, 60.0, "m"),
     _flag("a closed signal is before it"),

@@ -20,8 +20,8 @@ a predictor; `"highway"`: highway-env's own continuous action |
 | `frames_per_step` | 5 | of 0.1 s; an action holds for so many |
 | `warm_up_s` | by the scene | traffic builds up for so long before the ego comes |
 | `duration_s` | 90 | an episode is truncated after so long |
-| `until` | `"crossed"` | the ego has arrived when it is past the last junction of its way; \
-`"end"`: when it leaves the road |
+| `until` | `"crossed"` | the ego has arrived when it is past the last junction of its way, \
+or off the road; `"end"`: only then |
 | `reward` | see `RewardWeights` | weights by name; those not named keep their default |
 """
 

@@ -89,7 +89,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
     which: "arrived", "collision", "time", "over", "gone", and "" before.
 
     **Info.** `seen`: a `Seen`, the scene and the typed advice as agents take them; `ego_id`;
-    `seed`, of the simulator, with which `reset` repeats the episode; `time_s` of the scene; `end`;
+    `seed`, with which `reset` repeats the episode; `time_s` of the scene; `end`;
     `reward_terms`; with `slot` actions `action_mask`, as int8.
 
     **Errors.** See `hatn_sim.envs.errors`; all are `HatnSimError`s of one line.
@@ -151,7 +151,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             ego_of(self.options, self.scenario),
             self.options.ego_id,
             round(warm_up_s(self.options, self.scenario) / DT_S),
-            self.np_random,
+            np.random.default_rng(number),  # so that the number alone repeats the episode
         )
         road = self._simulator.road
         road.release(RELEASE_FRAMES, KEPT_LINES)
