@@ -285,6 +285,10 @@ def test_how_far_along_its_way() -> None:
         assert way.s_m == pytest.approx(x_m + 108.0)
         # The junction ends at 8 m; 10 m more, and half of 5 m.
         assert way.is_crossed(5.0) == (x_m > 20.5)
+    beside = way_along(road, CORRIDOR, np.array([-300.0, 90.0]))
+    for _ in range(2):
+        assert beside.s_m == 0.0
+        beside = beside.moved(np.array([-400.0, 0.0]))
     assert not way_along(road, ("x",), np.array([590.0, 0.0])).is_crossed(5.0)
 
 

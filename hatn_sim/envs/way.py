@@ -59,4 +59,6 @@ def _along(points_m: FloatArray, xy_m: FloatArray) -> float:
     first = min(nearest, len(points_m) - 2)
     along = points_m[first + 1] - points_m[first]
     length_m = max(float(np.linalg.norm(along)), 1e-9)
-    return STEP_M * first + float(away[first] @ along) / length_m
+    # Whoever is beyond an end of the way, or was steered off it, gets no farther than that.
+    s_m = STEP_M * first + float(away[first] @ along) / length_m
+    return min(max(s_m, 0.0), STEP_M * (len(points_m) - 1))
