@@ -133,6 +133,8 @@ def test_a_suite_without_events_has_no_recall(
         (0, None, None, None)
     }
     # Nor can a threshold be sought on them.
+    words[words.index(str(out))] = str(tmp_path / "calibrated")
+    words[words.index("301")] = "301-302"
     assert cli.main([*words, "--calibrate", "--quiet"]) == 1
     told = capsys.readouterr()
     said = "hatn-sim: no collision and no evasive braking in these runs: there is nothing to"

@@ -226,6 +226,20 @@ def test_lead_times_are_quantiles_and_their_interval_is_over_runs() -> None:
     assert low is not None and high is not None and 1.0 <= low < 3.0 < high <= 5.0
 
 
+def test_a_share_of_all_or_of_none_is_not_certain() -> None:
+    """Three events, all preceded: with a chance of 0.025 ** (1/3) that happens once in 40."""
+    runs = [
+        run_of(seed, events=(event(150.0),), rows=held(148.0, 150.0, "ab", 0.9))
+        for seed in (1, 2, 3)
+    ]
+    scores = {one.measure: one for one in alert_scores(warned(runs, RULE, 0.5), RULE, "s", "r")}
+    recall = scores["event_recall"]
+    assert (recall.value, recall.high) == (1.0, 1.0)
+    assert recall.low == pytest.approx(0.025 ** (1 / 3))
+    assert scores["recall_2s5"].value == 0.0
+    assert scores["recall_2s5"].high == pytest.approx(1.0 - 0.025 ** (1 / 3))
+
+
 def test_suggestions_by_hand() -> None:
     scores = suggestion_scores([run_of(1), run_of(2)], RULE, "s", "r")
     assert value(scores, "suggestion_agreement") == 0.75
@@ -243,13 +257,8 @@ def test_verdicts_and_regret_by_hand() -> None:
         return {"about": "alert", "lost": False, "verdict": verdict, "ignored": [{}] * ignored}
 
     def slot_line(driver: str | None, own: float, yielding: float, his: float) -> dict[str, object]:
-        costs = {"regret": own, "always_yield_regret": yielding, "driver_regret": his}
-        return {
-            "about": "suggestion",
-            "lost": False,
-            "slot_id": "b",
-            "driver_slot_id": driver,
-        } | costs
+        said = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
+        return {**said, "regret": own, "always_yield_regret": yielding, "driver_regret": his}
 
     lines = (
         alert_line("useful", 1),
@@ -257,8 +266,8 @@ def test_verdicts_and_regret_by_hand() -> None:
         alert_line("unneeded", 0),
         alert_line("harmful", 0),
         {"about": "alert", "lost": True},
-        slot_line("b", 0.0, 2.0, 0.0),
-        slot_line("a", 1.0, 4.0, 3.0),
+        slot_line("yield", 0.0, 2.0, 0.0),
+        slot_line("pass", 1.0, 4.0, 3.0),
         slot_line(None, 2.0, 0.0, 1.0),
     )
     scores = counterfactual_scores([replace(run_of(), counterfactuals=lines)], RULE, "s", "r")

@@ -124,6 +124,7 @@ SUGGESTION: dict[str, Any] = {
     "lost": False,
     "action": "pass",
     "slot_id": "b",
+    "other_id": "b",
 }
 EVENT = SafetyEvent("T2", "a", "b", 12.4, "emergency braking", 0.3)
 CONTACT = SafetyEvent("T1", "a", "b", 12.6, "contact")
@@ -131,7 +132,7 @@ COST = SlotCost(0.0, None, 0.0, 0.5, 0, 0, 0.25)
 JUDGED: dict[str, Any] = {
     "slots": [{"slot_id": name, **asdict(COST)} for name in ("a", "b")],
     "driver": asdict(COST),
-    "driver_slot_id": None,
+    "driver_action": None,
     "regret": 0.0,
     "always_yield_regret": 2.5,
     "driver_regret": -1.0,
@@ -153,7 +154,8 @@ JUDGED: dict[str, Any] = {
         (ALERT | {"lost": True, "more": 1}, False),
         # Of a suggestion.
         (SUGGESTION | JUDGED, True),
-        (SUGGESTION | JUDGED | {"action": "yield", "driver_slot_id": "b"}, True),
+        (SUGGESTION | JUDGED | {"action": "yield", "driver_action": "pass"}, True),
+        (SUGGESTION | JUDGED | {"driver_action": "b"}, False),
         (SUGGESTION | JUDGED | {"action": "abstain"}, False),
         (SUGGESTION | JUDGED | {"regret": -0.1}, False),
         (SUGGESTION | JUDGED | {"slots": JUDGED["slots"][:1]}, False),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from hatn_sim import cli
-from hatn_sim.datatypes import DT_S, Branch, FloatArray, SafetyEvent
+from hatn_sim.datatypes import DT_S, Branch, FloatArray, SafetyEvent, SemanticGraphs
 from hatn_sim.score.counterfactual import (
     CounterfactualSettings,
     concerning,
@@ -21,7 +22,7 @@ from hatn_sim.score.counterfactual import (
     verdict,
 )
 from hatn_sim.score.counterfactual_tally import tally, tally_words
-from hatn_sim.score.what_if import is_sampled
+from hatn_sim.score.what_if import driver_action, is_sampled
 
 FRAMES = 51
 
@@ -90,8 +91,9 @@ def test_a_verdict_compares_pair_by_pair(
 
 
 def test_events_of_third_ones_do_not_count() -> None:
-    events = [event("T1", "c", "d"), event("T2", "a", None), event("T1", "b", "c")]
-    assert concerning(events, "a", "b") == (events[1], events[2])
+    events = [event("T1", "c", "d"), event("T2", "a", None), event("T1", "b", "c"), event("T1")]
+    assert concerning(events, "a") == (events[1], events[3])
+    assert concerning(events, "b") == (events[2], events[3])
 
 
 def test_an_alert_obeyed() -> None:
@@ -106,15 +108,31 @@ def test_an_alert_obeyed() -> None:
     obeyed = branch(
         {"ego": constant(10.0), "behind": constant(10.0), "aside": ramp, "far": ramp}, starts
     )
-    judged = judge_alert(ignored, obeyed, "ego", "behind")
+    judged = judge_alert(ignored, obeyed, "ego")
     assert judged.verdict == "useful"
     assert [one.tier for one in judged.ignored] == ["T1"] and judged.obeyed == ()
     # 10 m/s for 5 s, against 10 to 4 m/s in 2 s and 4 m/s for 3 s.
     assert judged.others_lost_m == pytest.approx(50.0 - (14.0 + 12.0))
     assert judged.others_braking_mps2 == pytest.approx(3.0)  # of the one aside: "far" is unaffected
     assert judged.others_braked_mps2 == 0.0
-    assert judge_alert(obeyed, ignored, "ego", "behind").verdict == "harmful"
-    assert judge_alert(obeyed, obeyed, "ego", "behind").verdict == "unneeded"
+    assert judge_alert(obeyed, ignored, "ego").verdict == "harmful"
+    assert judge_alert(obeyed, obeyed, "ego").verdict == "unneeded"
+
+
+def test_braking_that_was_under_way_is_no_event_of_an_alert() -> None:
+    starts = {"ego": (0.0, 0.0), "other": (60.0, 0.0)}
+    hard, later = slowing(6.0, 0.0), constant(10.0)
+    later[20:] = slowing(6.0, 0.0)[: FRAMES - 20]
+    at_once, in_two_s, never = (
+        branch({"ego": own, "other": constant(0.0)}, starts)
+        for own in (hard, later, constant(10.0))
+    )
+    assert [one.start_s for one in judge_alert(in_two_s, never, "ego").ignored] == [102.0]
+    assert judge_alert(in_two_s, never, "ego").verdict == "useful"
+    assert judge_alert(at_once, at_once, "ego").verdict == "unneeded"
+    assert judge_alert(at_once, never, "ego").verdict == "unneeded"
+    # But whoever brakes so only where he obeys does it for that.
+    assert judge_alert(never, at_once, "ego").verdict == "harmful"
 
 
 # ---------------------------------------------------------------------------------------------
@@ -170,17 +188,12 @@ def test_samples_have_their_rate_and_repeat() -> None:
 
 
 def test_the_tally() -> None:
-    def suggestion(own: float, driver_slot: str | None) -> dict[str, Any]:
-        slots = {
-            "about": "suggestion",
-            "lost": False,
-            "slot_id": "a",
-            "driver_slot_id": driver_slot,
-        }
+    def suggestion(own: float, driver: str | None) -> dict[str, Any]:
+        slots = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
         return slots | {"regret": own, "always_yield_regret": 4.0, "driver_regret": 2.0}
 
     alerts = [{"about": "alert", "lost": False, "verdict": v} for v in ("useful", "unneeded")]
-    lines = [*alerts, suggestion(1.0, "a"), suggestion(2.0, "b"), suggestion(3.0, None)]
+    lines = [*alerts, suggestion(1.0, "yield"), suggestion(2.0, "pass"), suggestion(3.0, None)]
     found = tally([*lines, {"about": "alert", "lost": True}])
     assert (found.alerts, found.alerts_on_events, found.lost) == (2, 1, 1)
     assert (found.regrets.n, found.regrets.advised, found.regrets.always_yield) == (3, 2.0, 4.0)
@@ -189,6 +202,66 @@ def test_the_tally() -> None:
     assert words[0].startswith("counterfactuals: 2 alerts judged: 1 useful, 1 unneeded, 0 harmful")
     assert words[-1].startswith("settings of counterfactuals: reaction_s 1, horizon_s 8")
     assert tally([]).regrets.advised is None
+
+
+# ---------------------------------------------------------------------------------------------
+# What the driver does about the vehicle that the advice names
+
+
+def crossing(other_mps: FloatArray, ego_mps: FloatArray) -> Branch:
+    """The ego comes from the west, the other from the south; they cross at (0, 0)."""
+    one = branch({"ego": ego_mps, "other": other_mps}, {"ego": (-20.0, 0.0), "other": (-20.0, 0.0)})
+    turned = one.xy_m.copy()
+    turned[:, 1] = one.xy_m[:, 1, ::-1]
+    return replace(one, xy_m=turned)
+
+
+def graphs_of() -> SemanticGraphs:
+    """The ego's graph, with the other behind node 1; what is not asked for is empty."""
+    told: dict[str, Any] = {field.name: np.zeros(0) for field in fields(SemanticGraphs)}
+    told |= {
+        "ids": ("ego", "other"),
+        "ego": np.array([0]),
+        "rear": np.array([[0, 1, -1]]),
+        "focus_mask": np.array([[True, True, False]]),
+        "ego_to_conflict_m": np.array([[20.0, 20.0, 0.0]]),
+        "rear_to_conflict_m": np.array([[0.0, 20.0, 0.0]]),
+        "conflict_xy_m": np.zeros((1, 3, 2)),
+    }
+    return SemanticGraphs(**told)
+
+
+@pytest.mark.parametrize(
+    ("other_mps", "ego_mps", "expected"),
+    [
+        (constant(8.0), constant(10.0), "pass"),
+        (constant(10.0), constant(8.0), "yield"),
+        (constant(8.0), constant(8.0), "yield"),  # at once, as in labels
+        (constant(1.0), constant(10.0), "pass"),  # it is still on its way at the end
+        (constant(10.0), constant(1.0), "yield"),
+        (constant(1.0), constant(1.0), None),
+    ],
+)
+def test_what_the_driver_does_about_another(
+    other_mps: FloatArray, ego_mps: FloatArray, expected: str | None
+) -> None:
+    assert driver_action(crossing(other_mps, ego_mps), graphs_of(), 0, "other") == expected
+
+
+def test_nothing_is_told_of_another_who_never_comes() -> None:
+    both = crossing(constant(5.0), constant(10.0))
+    assert driver_action(both, graphs_of(), 0, "other") == "pass"
+    # It drives as far as the conflict, but elsewhere.
+    elsewhere = both.xy_m.copy()
+    elsewhere[:, 1, 0] = 30.0
+    assert driver_action(replace(both, xy_m=elsewhere), graphs_of(), 0, "other") is None
+    # It leaves view before.
+    valid = both.valid.copy()
+    valid[20:, 1] = False
+    assert driver_action(replace(both, valid=valid), graphs_of(), 0, "other") is None
+    # The advice names somebody with whom there is no conflict.
+    alone = replace(graphs_of(), focus_mask=np.array([[True, False, False]]))
+    assert driver_action(both, alone, 0, "other") is None
 
 
 # ---------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_alert import moment
 
-from hatn_sim.assist.danger import CONSTANT_VELOCITY, HATN
+from hatn_sim.assist.danger import HATN, NO_PREDICTION
 from hatn_sim.assist.danger_network import (
     DangerNetwork,
     danger_network,
@@ -45,8 +45,8 @@ def test_a_chance_by_hand() -> None:
     signs = np.full((2, len(SIGNS)), 0.5)
     signs[1, TOLD] = 0.6
     logits = [3.0 * np.tanh(0.1 + 2.0 * k * 0.4) + np.tanh(0.3) - 1.0 for k in (0, 1)]
-    np.testing.assert_allclose(network().chance(signs), 1.0 / (1.0 + np.exp(-np.array(logits))))
-    assert network(-50.0).chance(signs).tolist() == [0.0, 0.0]  # below what is told
+    np.testing.assert_allclose(network().danger(signs), 1.0 / (1.0 + np.exp(-np.array(logits))))
+    assert network(-50.0).danger(signs).tolist() == [0.0, 0.0]  # below what is told
 
 
 def test_the_file_says_the_same(tmp_path: Path) -> None:
@@ -54,13 +54,13 @@ def test_the_file_says_the_same(tmp_path: Path) -> None:
     write_danger_networks(path, {HATN: network()}, {"seeds": [1]})
     signs = np.random.default_rng(0).random((5, len(SIGNS)))
     read = danger_network(str(path), HATN)
-    np.testing.assert_allclose(read.chance(signs), network().chance(signs), rtol=1e-4)
+    np.testing.assert_allclose(read.danger(signs), network().danger(signs), rtol=1e-4)
     assert json.loads(path.read_text())["card"] == {"seeds": [1]}
 
 
-@pytest.mark.parametrize("rule", [HATN, CONSTANT_VELOCITY])
+@pytest.mark.parametrize("rule", [HATN, NO_PREDICTION])
 def test_what_ships_fits_the_signs(rule: str) -> None:
-    chance = danger_network("", rule).chance(np.zeros((3, len(SIGNS))))
+    chance = danger_network("", rule).danger(np.zeros((3, len(SIGNS))))
     assert ((chance >= 0.0) & (chance <= 1.0)).all()
 
 
@@ -72,6 +72,8 @@ def test_what_ships_fits_the_signs(rule: str) -> None:
         (lambda told: told["rules"].pop(HATN), "damage"),
         (lambda told: told["rules"][HATN]["out"].pop(), "expected"),
         (lambda told: told["rules"][HATN]["out"].__setitem__(0, float("nan")), "expected"),
+        (lambda told: told["rules"][HATN].update(out_bias=float("nan")), "finite out_bias"),
+        (lambda told: told["rules"][HATN]["scale"].__setitem__(0, 0.0), "scales above 0"),
     ],
 )
 def test_a_damaged_file_is_told_of(tmp_path: Path, change: object, told: str) -> None:
@@ -149,18 +151,35 @@ def test_chances_that_are_learned_are_those_of_the_traffic() -> None:
     assert fitted is not None
     signs = np.zeros((2, len(SIGNS)))
     signs[1, TOLD] = 1.0
-    low, high = fitted.chance(signs)
+    low, high = fitted.danger(signs)
     share = np.mean([len(run.events) for run in runs]) / (0.25 * 500)
     assert high == pytest.approx(share, abs=0.05)
     assert low < 0.02
     again = fit_danger(runs, HATN)
     assert again is not None
-    np.testing.assert_array_equal(again.chance(signs), [low, high])
+    np.testing.assert_array_equal(again.danger(signs), [low, high])
 
 
 def test_without_events_nothing_is_learned() -> None:
     assert fit_danger([run_of(np.arange(9.0), np.zeros(9), ())], HATN) is None
     assert fit_danger([], HATN) is None
+
+
+def test_of_a_pair_that_is_there_twice_the_worse_is_told() -> None:
+    """One follows the other, and both are at a conflict: as alerts have it, whichever is first."""
+    seen, recorder = signs_of(_MOMENT), SignRecorder()
+    twice = seen.pairs.of(np.array([0, 0]))
+    for time_s, told in enumerate(([0.9, 0.1], [0.2, 0.8])):
+        signs = np.zeros((2, len(SIGNS)))
+        signs[:, TOLD] = told
+        recorder.add(float(time_s), ("a", "b"), Signs(twice, seen.going_on, signs))
+    trace = recorder.trace()
+    assert len(trace.pairs.danger) == 4  # all are examples
+    found = trace.dangers(network())
+    signs = np.zeros((2, len(SIGNS)))
+    signs[:, TOLD] = [0.9, 0.8]
+    np.testing.assert_allclose(found.danger, network().danger(signs), rtol=1e-2)
+    assert found.time_s.tolist() == [0.0, 1.0]
 
 
 def test_signs_are_kept_in_the_file_of_a_run(tmp_path: Path) -> None:

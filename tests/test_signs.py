@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import crossing_lanes, scene_of
 from test_alert import moment
 
 from hatn_sim.assist.moment import Moment
@@ -16,6 +17,9 @@ from hatn_sim.assist.signs import (
     signs_at_constant_velocity,
     signs_of,
 )
+from hatn_sim.datatypes import Prediction
+from hatn_sim.perception import begin, perceive
+from hatn_sim.road import Road
 
 
 def sign(of: Moment, name: str, *, steady: bool = False) -> float:
@@ -66,6 +70,15 @@ def test_two_who_set_off_meet_if_both_go_on() -> None:
 
 def test_pairs_far_off_are_not_looked_at() -> None:
     assert not len(signs_of(moment((60.0, 5.0, 0.0), (60.0, 5.0, 0.0))).of)
+
+
+def test_nobody_has_no_signs() -> None:
+    state = perceive(begin(Road(crossing_lanes())), scene_of(0.0, {}), None)
+    nobody = Prediction(
+        (), np.zeros((0, 3, 30, 2)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros(0, bool)
+    )
+    for of in (signs_of, signs_at_constant_velocity):
+        assert of(Moment(state.road, state.seen, nobody)).of.shape == (0, len(SIGNS))
 
 
 def test_who_is_at_his_line_and_comes_out_before_another() -> None:

@@ -19,7 +19,7 @@ from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import Alert, FloatArray, IntArray, Scene
 
 WITHIN_S: Final = 5.0
-"""Danger is the chance of an event so soon."""
+"""Danger is of an event so soon."""
 ROUNDING_S: Final = 1e-6
 _Pair = tuple[str, str]
 """The ids of two vehicles, sorted."""
@@ -122,5 +122,5 @@ def _worst(dangers: PairDangers, least: float) -> tuple[IntArray, IntArray, Floa
 
 
 def _reason(type_: str, danger: float, deviates_id: str) -> str:
-    why = f"{100.0 * danger:.0f} % likely to collide or to brake hard within {WITHIN_S:.0f} s"
+    why = f"danger {danger:.2f} (of 1) to collide or to brake hard within {WITHIN_S:.0f} s"
     return why if type_ == TYPES[CONFLICT] else f"{deviates_id} was to give way; {why}"

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.danger import constant_velocity_rule, hatn_rule
+from hatn_sim.assist.danger import constant_velocity_rule, hatn_rule, no_prediction_rule
 from hatn_sim.assist.moment import AlertRule, Moment, PairDangers, pair_dangers
 from hatn_sim.assist.pairs import FOLLOW
 from hatn_sim.assist.risk import time_to_collision_s, times_at_speed
@@ -97,6 +97,7 @@ def never(_: Moment) -> PairDangers:
 
 RULES: Final[dict[str, AlertRule]] = {
     "hatn": hatn_rule,
+    "no_prediction": no_prediction_rule,
     "constant_velocity": constant_velocity_rule,
     "time_to_collision": time_to_collision_rule,
     "encroachment": encroachment_rule,

@@ -1,12 +1,13 @@
 """The network that tells the danger of a pair from its signs, and its file.
 
-One hidden layer: chance = logistic(b + w . tanh(B + W (signs - mean) / scale)). The file is JSON
+One hidden layer: danger = logistic(b + w . tanh(B + W (signs - mean) / scale)). The file is JSON
 and carries its card: what it was fitted to.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -17,15 +18,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from hatn_sim.assist.settings import LEAST_DANGER
 from hatn_sim.assist.signs import SIGNS
 from hatn_sim.datatypes import FloatArray
 from hatn_sim.errors import InputError
+from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
 FORMAT: Final = 1
 SHIPPED: Final = "danger.json"
 _SHIPPED: Final = files("hatn_sim.assist") / "weights" / SHIPPED
-LEAST_CHANCE: Final = 1e-3
-"""What is less likely is no danger: traces stay small."""
 _ARRAYS: Final = ("mean", "scale", "hidden", "hidden_bias", "out")
 
 
@@ -40,12 +41,12 @@ class DangerNetwork:
     out: FloatArray  # [H]
     out_bias: float
 
-    def chance(self, signs: FloatArray) -> FloatArray:
-        """[P] of pairs with signs [P, S]; 0 below `LEAST_CHANCE`."""
+    def danger(self, signs: FloatArray) -> FloatArray:
+        """[P] of pairs with signs [P, S]; 0 below `LEAST_DANGER`."""
         unit = np.tanh(((signs - self.mean) / self.scale) @ self.hidden + self.hidden_bias)
         logit = np.clip(unit @ self.out + self.out_bias, -30.0, 30.0)
-        chance = 1.0 / (1.0 + np.exp(-logit))
-        return np.where(chance < LEAST_CHANCE, 0.0, chance)
+        danger = 1.0 / (1.0 + np.exp(-logit))
+        return np.where(danger < LEAST_DANGER, 0.0, danger)
 
 
 @cache
@@ -88,7 +89,10 @@ def _network(told: Mapping[str, Any], rule: str) -> DangerNetwork:
         expected = shapes.get(name, (units,))
         if array.shape != expected or not np.isfinite(array).all():
             raise ValueError(f"{rule}: {name}: expected {expected} numbers, found {array.shape}")
-    return DangerNetwork(**arrays, out_bias=float(values["out_bias"]))
+    out_bias = float(values["out_bias"])
+    if not math.isfinite(out_bias) or (arrays["scale"] <= 0.0).any():
+        raise ValueError(f"{rule}: expected a finite out_bias and scales above 0")
+    return DangerNetwork(**arrays, out_bias=out_bias)
 
 
 def network_values(network: DangerNetwork) -> dict[str, Any]:
@@ -100,11 +104,11 @@ def network_values(network: DangerNetwork) -> dict[str, Any]:
 def write_danger_networks(
     path: Path, networks: Mapping[str, DangerNetwork], card: Mapping[str, Any]
 ) -> None:
-    """Write networks by rule, with a card."""
+    """Write networks by rule, with a card. Raises InputError where there is no room."""
     told = {
         "format": FORMAT,
         "card": dict(card),
         "signs": SIGNS,
         "rules": {rule: network_values(network) for rule, network in networks.items()},
     }
-    path.write_text(json.dumps(told, separators=(",", ":")) + "\n", encoding="utf-8", newline="\n")
+    save_whole(path, json.dumps(told, separators=(",", ":")) + "\n", ROOM_OR_OUT)

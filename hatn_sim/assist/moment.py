@@ -48,7 +48,8 @@ class Moment:
 class PairDangers:
     """Pairs [P] of vehicles of the scene and how dangerous they are; higher is worse.
 
-    Of a DEVIATION, the first is the one who deviates.
+    Of a DEVIATION, the first is the one who deviates; else it is whoever had better be warned, if
+    both can be.
     """
 
     first: IntArray

@@ -2,8 +2,8 @@
 
 | key | unit | meaning |
 |---|---|---|
-| `alert_onset` | probability | an alert begins where a pair's danger (`danger`) reaches this ... |
-| `alert_end` | probability | ... and goes on while it is at least this |
+| `alert_onset` | 0 ... 1 | an alert begins where a pair's danger (`danger`) reaches this ... |
+| `alert_end` | 0 ... 1 | ... and goes on while it is at least this |
 | `end_after_s` | s | it ends when it was less for longer than this |
 | `cool_down_s` | s | danger that comes back sooner than this is the same alert |
 | `confident` | probability | predicted so surely to let others go, who goes first deviates |
@@ -24,16 +24,18 @@ from hatn_sim.errors import InputError, nearest
 class AssistSettings:
     """The settings; those that ship were calibrated on seeds of their own."""
 
-    alert_onset: float = 0.25
-    alert_end: float = 0.2
+    alert_onset: float = 0.279
+    alert_end: float = 0.2232
     end_after_s: float = 0.5
     cool_down_s: float = 2.0
     confident: float = 0.95
     danger_network: str = ""
 
 
+LEAST_DANGER: Final = 1e-3
+"""What is less likely is no danger: nothing is told of it."""
 RANGES: Final = {
-    "alert_onset": (0.0, 1.0),
+    "alert_onset": (LEAST_DANGER, 1.0),
     "alert_end": (0.0, 1.0),
     "end_after_s": (0.0, 10.0),
     "cool_down_s": (0.0, 60.0),

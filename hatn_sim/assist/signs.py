@@ -350,7 +350,7 @@ def _modes(moment: Moment, pairs: Pairs) -> _Modes:
     row = pairs.index[..., None] * count + np.arange(count)
     enter, leave = (
         arrival_s(
-            way_m.reshape(vehicles * count, -1),
+            way_m.reshape(vehicles * count, HORIZON_FRAMES),
             row.reshape(-1),
             np.repeat(to_m.reshape(-1), count),
         ).reshape(row.shape)

@@ -30,7 +30,7 @@ from hatn_sim.commands.options import (
     share,
     whole_number,
 )
-from hatn_sim.resources import SUITES
+from hatn_sim.resources import SUITES, scenes_of_suite
 
 if TYPE_CHECKING:
     from hatn_sim.assist.settings import AssistSettings
@@ -43,11 +43,18 @@ if TYPE_CHECKING:
 EXAMPLES = """examples:
   hatn-sim assess --scenes intersection5,roundabout8 --risk courteous,inattentive --seeds 401-440
   hatn-sim assess --suite do_warn --seeds 401-440 --json
-  hatn-sim assess --scenes intersection5 --risk courteous,inattentive --calibrate
+  hatn-sim assess --calibrate
 """
 HELD_OUT: Final = tuple(range(401, 441))
-FOR_CALIBRATION: Final = tuple(range(300, 340))
+FOR_CALIBRATION: Final = tuple(range(300, 316))
+CALIBRATION_SCENES: Final = (
+    *("intersection5", "roundabout8", "intersection4_allway", "roundabout4_two_lane", "tjunction"),
+    *("learn_priority4", "learn_roundabout5"),
+)
+CALIBRATION_RISKS: Final = ("courteous", "inattentive")
+"""What --calibrate looks at by itself, beside all suites."""
 DURATION_S: Final = 120.0
+SUITE_DURATION_S: Final = 60.0
 NO_EVENTS: Final = "no collision and no evasive braking in these runs"
 FALSE_ALARMS_PER_HOUR: Final = 1.0
 RUNS_FOLDER: Final = "assessed"
@@ -76,14 +83,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seeds",
         type=seeds,
         metavar="A-B",
-        help="of the traffic (default: 401-440; with --calibrate 300-339)",
+        help="of the traffic (default: 401-440; with --calibrate 300-315)",
     )
     parser.add_argument(
         "--duration",
         type=seconds,
-        default=DURATION_S,
         metavar="S",
-        help="of each run (default: 120)",
+        help="of each run (default: 120; 60 in a scene of a suite)",
     )
     parser.add_argument(
         "--warm-up",
@@ -192,10 +198,14 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     settings = _settings(arguments)
     danger = None if arguments.calibrate else sha256_of_danger_network(settings.danger_network)
     for_seeds = arguments.seeds or (FOR_CALIBRATION if arguments.calibrate else HELD_OUT)
+    of_suites = {name for suite in SUITES for name in scenes_of_suite(suite)}
     for scenario in _scenarios(arguments):
         warm_up_s = default_warm_up_s(scenario)
         warm_up_s = warm_up_s if arguments.warm_up is None else arguments.warm_up
         made = made_by(scenario)
+        duration_s = arguments.duration or (
+            SUITE_DURATION_S if scenario.name in of_suites else DURATION_S
+        )
         profile = "" if scenario.risk is None else f", {scenario.risk}"
         for seed in for_seeds:
             label = f"{scenario.name}{profile}, seed {seed}"
@@ -205,7 +215,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                 scenario=scenario,
                 seed=seed,
                 warm_up_s=warm_up_s,
-                duration_s=arguments.duration,
+                duration_s=duration_s,
                 weights=arguments.weights,
                 rules=rules,
                 settings=settings,
@@ -217,7 +227,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                     "risk": scenario.risk,
                     "seed": seed,
                     "warm_up_s": warm_up_s,
-                    "duration_s": arguments.duration,
+                    "duration_s": duration_s,
                     "rules": list(rules),
                     "settings": asdict(settings),
                     "counterfactuals": arguments.counterfactuals,
@@ -241,21 +251,26 @@ def _scenarios(arguments: argparse.Namespace) -> Iterator[Scenario]:
     """The scenes that are named, each with each of its risk profiles that are wanted."""
     from hatn_sim.config import load_scenario
     from hatn_sim.errors import InputError
-    from hatn_sim.resources import scenes_of_suite
 
     words: Sequence[str] = arguments.scenes
+    wanted: Sequence[str] = arguments.risk
     if arguments.suite is not None:
         if words:
             raise InputError(f"either --suite {arguments.suite} or --scenes; drop one")
         words = scenes_of_suite(arguments.suite)
+    elif not words and arguments.calibrate:
+        wanted = wanted or CALIBRATION_RISKS
+        for word in CALIBRATION_SCENES:
+            for risk in wanted:
+                yield load_scenario(word, arguments.density, risk)
+        words, wanted = [name for suite in SUITES for name in scenes_of_suite(suite)], ()
     if not words:
         raise InputError("name scenes with --scenes A,B, or a --suite")
     for word in words:
         scenario = load_scenario(word, arguments.density, None)
         if scenario.recorded is not None:
             raise InputError(f"{word}: recorded traffic has no seeds to assess; name a scene")
-        risks = arguments.risk or scenario.risks
-        for risk in risks or (None,):
+        for risk in wanted or scenario.risks or (None,):
             yield load_scenario(word, arguments.density, risk)
 
 
@@ -302,7 +317,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.learn.danger_study import fit_all, held_out_runs
-    from hatn_sim.score.sweep import best_within, sweep, thresholds_of
+    from hatn_sim.score.sweep import operating, sharpest_within, sweep, thresholds_of
     from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
     if len({run.seed for run in runs}) < 2:
@@ -318,14 +333,15 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     settings = _settings(arguments)
     judged = held_out_runs(runs, HATN)
     curve = sweep(judged, HATN, thresholds_of(judged, HATN), settings)
-    best = best_within(curve, arguments.false_alarms)
+    best = sharpest_within(judged, HATN, curve, arguments.false_alarms, settings)
     if best is None:
         raise HatnSimError(
             f"no threshold keeps within {arguments.false_alarms:g} false alarms per vehicle-hour; "
             "allow more with --false-alarms, or add runs"
         )
-    # Rounded up, so that what is written is as strict.
+    # Rounded up, so that what is written is as strict; the figures told are those of it.
     onset = math.ceil(1000.0 * best.threshold) / 1000.0
+    best = operating(judged, HATN, onset, settings)
     release = settings.alert_end / settings.alert_onset
     found = replace(settings, alert_onset=onset, alert_end=round(release * onset, 4))
     card = {
@@ -343,7 +359,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     lines.append(f'{NETWORK} = "{NETWORK_FILE}"')
     save_whole(path, "\n".join(lines) + "\n", ROOM_OR_OUT)
     print(
-        f"alerts from a danger of {100.0 * onset:.1f} % on: {best.false_alarms_per_hour:.2f} false "
+        f"alerts from a danger of {onset:g} on: {best.false_alarms_per_hour:.2f} false "
         f"alarms per vehicle-hour, {_percent(best.event_recall)} of events preceded by an alert, "
         f"{_percent(best.recall_1s5)} by 1.5 s or more (on runs that the network was not fitted "
         f"to); settings in {path}, the network in {out / NETWORK_FILE}"

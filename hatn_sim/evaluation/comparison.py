@@ -21,7 +21,7 @@ from hatn_sim.score.assistance import (
     suggestion_scores,
     warned,
 )
-from hatn_sim.score.sweep import Operating, best_within, operating, sweep, thresholds_of
+from hatn_sim.score.sweep import Operating, operating, sharpest_within, sweep, thresholds_of
 
 OURS: Final = "hatn"
 FIXED: Final = {"always": 0.5, "never": 0.5}
@@ -69,7 +69,7 @@ def compare_rules(
             rate = ours.false_alarms_per_hour
             for rule, curve in curves[scene].items():
                 if rule != OURS:
-                    best = best_within(curve, rate)
+                    best = sharpest_within(of_scene, rule, curve, rate, settings)
                     thresholds[rule] = np.inf if best is None else best.threshold
         for risk, chosen in by_risk(of_scene).items():
             for rule, threshold in thresholds.items():

@@ -4,7 +4,8 @@ A pair's row is an example of danger if a T1 or T2 event of the pair begins with
 `WITHIN_S`, and of none if no event of the pair is near; rows before events that are not severe say
 little, rows after a severe one nothing. Rows long before count less: few of them show anything yet.
 
-Every examples' weight is that which it has in the traffic, so that the output is a chance there.
+Each row has the weight that it has in the traffic, but for those named and for the quiet rows of
+scripted scenes: so that what is fitted ranks dangers, and is near a probability, but is none.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import torch
 from hatn_sim.assist.alert import WITHIN_S
 from hatn_sim.assist.danger_network import DangerNetwork
 from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
+from hatn_sim.resources import SUITES, scenes_of_suite
 from hatn_sim.score.assessed import AssessedRun
 from hatn_sim.score.assistance import is_close
 from hatn_sim.score.events import BRIEF
@@ -34,6 +36,8 @@ DANGEROUS_SHARE: Final = 0.2
 RATE: Final = 1e-2
 DECAY: Final = 0.3
 NEAR_WEIGHT: Final = 0.1
+SCRIPTED_WEIGHT: Final = 10.0
+"""Of rows without danger in the scenes of suites: violations are frequent there."""
 EARLY_S: Final = 4.0
 EARLY_WEIGHT: Final = 0.2
 LEAST_SCALE: Final = 1e-2
@@ -103,13 +107,16 @@ def _rarity(dangerous: torch.Tensor) -> float:
 
 def examples(runs: Sequence[AssessedRun], rule: str) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Signs [D, S] of all runs, whether they are of danger [D], and their weights [D]."""
-    found = [_examples_of(run, rule) for run in runs]
+    scripted = {name for suite in SUITES for name in scenes_of_suite(suite)}
+    found = [_examples_of(run, rule, run.scene in scripted) for run in runs]
     signs, dangerous, weight = (np.concatenate(parts) for parts in zip(*found, strict=True))
     some = weight > 0.0
     return signs[some], dangerous[some], weight[some]
 
 
-def _examples_of(run: AssessedRun, rule: str) -> tuple[FloatArray, BoolArray, FloatArray]:
+def _examples_of(
+    run: AssessedRun, rule: str, is_scripted: bool
+) -> tuple[FloatArray, BoolArray, FloatArray]:
     trace = run.signs[rule]
     pairs = trace.pairs
     signs = trace.signs[pairs.danger.astype(np.int64)].astype(np.float64)
@@ -128,7 +135,7 @@ def _examples_of(run: AssessedRun, rule: str) -> tuple[FloatArray, BoolArray, Fl
         elif event.tier == BRIEF or is_close(event):
             is_near[rows[np.abs(ahead_s) <= WITHIN_S]] = True
     dangerous = np.isfinite(to_event_s)
-    weight = np.where(is_near, NEAR_WEIGHT, 1.0)
+    weight = np.where(is_near, NEAR_WEIGHT, 1.0) * (SCRIPTED_WEIGHT if is_scripted else 1.0)
     weight = np.where(is_after, 0.0, weight)
     weight = np.where(dangerous, np.where(to_event_s > EARLY_S, EARLY_WEIGHT, 1.0), weight)
     return signs, dangerous, weight

@@ -25,13 +25,15 @@ when the offender first did otherwise than lawfully, if that was later (see `off
 | `harmful_share`, `unneeded_share` | share | of judged alerts |
 | `regret` | 1 | mean cost of the slot advised over that of the best, of judged suggestions |
 | `always_yield_regret`, `driver_regret` | 1 | the same of yielding, and of what the driver did |
-| `regret_where_different`, `driver_regret_where_different` | 1 | where the driver did otherwise |
+| `regret_where_different`, `driver_regret_where_different` | 1 | where the driver passed \
+before the vehicle that the advice names instead of yielding to it, or the reverse |
 | `lost_branches` | share | of what was to be judged: a branch died |
 
 `subset` is the risk profile, "all" where several are pooled. A measure of which there is nothing
 has no value and n = 0: without events there is no recall, be it 0 or 1. Of rates, n is the number
-of runs, and where nothing was counted in H hours the interval ends at 3.7 / H (97.5 % of a Poisson
-count), since a bootstrap of nothing is nothing.
+of runs, and where nothing was counted in H hours (or hundreds of crossings) the interval ends at
+3.7 / H (97.5 % of a Poisson count), since a bootstrap of nothing is nothing. For the same reason a
+share of 0 or of 1 has the interval of Clopper and Pearson.
 """
 
 from __future__ import annotations
@@ -49,6 +51,7 @@ from hatn_sim.config import DEFAULT_RISK
 from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, SafetyEvent, Score
 from hatn_sim.score import intervals
 from hatn_sim.score.assessed import AssessedRun
+from hatn_sim.score.counterfactual_tally import driver_differs
 from hatn_sim.score.dangers import alerts_at, oracle_alerts
 from hatn_sim.score.events import BRIEF
 from hatn_sim.score.matching import SEVERE, Outcome, match
@@ -94,6 +97,9 @@ RATIOS: Final = {
     "brief_per_hour": ("all_brief", "hours", "1/h"),
 }
 """Measure -> numerator, denominator, unit."""
+PER_TIME_OR_CROSSINGS: Final = tuple(
+    name for name, (_, bottom, _) in RATIOS.items() if bottom in ("hours", "crossings")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,17 +240,16 @@ def alert_scores(found: Warned, rule: str, scene: str, risk: str) -> list[Score]
         if not n:
             return Score(measure, rule, scene, risk, "none", None, unit, 0, None, None)
         value = float(of(sums.sum(axis=0)))
-        low, high = intervals.interval(sums, of) or (None, None)
-        if unit == "1/h" and value == 0.0:
-            high = float(NONE_SEEN / sums[:, 1].sum())
+        low, high = _bounds(sums, unit, of)
+        if value == 0.0 and measure in PER_TIME_OR_CROSSINGS:
+            low, high = 0.0, float(NONE_SEEN / sums[:, 1].sum())
         return Score(measure, rule, scene, risk, "none", value, unit, int(n), low, high)
 
     scores: list[Score] = []
     for measure, (top, bottom, unit) in RATIOS.items():
         pair = found.counts[:, [_OF[top], _OF[bottom]]]
         of_what = pair[:, 1].sum()
-        is_rate = bottom in ("hours", "crossings")
-        n = len(pair) if is_rate and of_what else of_what
+        n = len(pair) if measure in PER_TIME_OR_CROSSINGS and of_what else of_what
         scores.append(score(measure, unit, n, pair, intervals.ratio))
     hits, false = found.counts[:, _OF["hits"]], found.counts[:, _OF["false"]]
     judged = np.column_stack([hits, hits + false])
@@ -254,6 +259,13 @@ def alert_scores(found: Warned, rule: str, scene: str, risk: str) -> list[Score]
         quantile = partial(_quantile, found, share)
         scores.append(score(measure, "s", len(found.lead_s), each, quantile))
     return scores
+
+
+def _bounds(
+    sums: FloatArray, unit: str, of: intervals.Statistic
+) -> tuple[float | None, float | None]:
+    found = intervals.share_interval(sums) if unit == "share" else intervals.interval(sums, of)
+    return found or (None, None)
 
 
 def _quantile(found: Warned, share: float, drawn: FloatArray) -> FloatArray:
@@ -325,7 +337,7 @@ def counterfactual_scores(
         n = int(sums[:, 1].sum())
         if not n:
             return Score(measure, name, scene, risk, "none", None, unit, 0, None, None)
-        low, high = intervals.interval(sums, intervals.ratio) or (None, None)
+        low, high = _bounds(sums, unit, intervals.ratio)
         value = float(intervals.ratio(sums.sum(axis=0)))
         return Score(measure, name, scene, risk, "none", value, unit, n, low, high)
 
@@ -339,10 +351,7 @@ def counterfactual_scores(
 
     def cost(key: str, where_different: bool = False) -> Callable[[Line], float | None]:
         def of(line: Line) -> float | None:
-            if line["lost"]:
-                return None
-            driver = line["driver_slot_id"]
-            if where_different and (driver is None or driver == line["slot_id"]):
+            if line["lost"] or (where_different and not driver_differs(line)):
                 return None
             return float(line[key])
 

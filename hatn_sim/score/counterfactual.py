@@ -2,11 +2,13 @@
 
 The definitions are METHOD 7's. Where it is silent, this holds:
 
-- Events that count for an alert are T1 and T2 with the warned ego or the other vehicle in them.
-  What becomes of third ones differs by chance too: branches draw random numbers in another order.
-- T1 is worse than T2. Obeying is
-  harmful if any pair is worse off by it, else useful if any is better off, else unneeded if there
-  was no event, else unavailing.
+- Events that count for an alert are T1 and T2 with the ego that is warned in them, whoever is the
+  second. What becomes of others, the one warned of included, differs by chance too: branches draw
+  random numbers in another order. What obeying costs them is told apart.
+- Braking that is under way when the alert begins, and is an event whatever the ego does, was not
+  warned of: it counts for neither branch.
+- T1 is worse than T2. Obeying is harmful if any pair is worse off by it, else useful if any is
+  better off, else unneeded if there was no event, else unavailing.
 - Costs of slots are told over the whole branch. Whose time is lost is told in m: how much farther
   the vehicle got elsewhere.
 """
@@ -42,7 +44,9 @@ class CounterfactualSettings:
 
     reaction_s: float = 1.0
     horizon_s: float = 8.0  # a second of reaction, five of the profile, two to see what comes of it
-    blend_s: float = 0.5  # for the difference between the speeds foreseen and had after reacting
+    # For the difference between the speeds foreseen and had after reacting. Drivers change by 3 m/s
+    # in that second; to take that back at once would be evasive braking of our own making.
+    blend_s: float = 2.0
     per_delay_s: float = 1.0
     per_missing_gap_s: float = 2.0  # of the ego's least encroachment time under `gap_s`
     gap_s: float = 1.5
@@ -99,9 +103,13 @@ def events_in_branch(branch: Branch) -> list[SafetyEvent]:
     return [event for event in found if event.tier in SEVERITY]
 
 
-def concerning(events: Iterable[SafetyEvent], *vehicles: str) -> tuple[SafetyEvent, ...]:
-    """The events with any of the vehicles in them."""
-    return tuple(event for event in events if {event.first_id, event.second_id} & set(vehicles))
+def concerning(events: Iterable[SafetyEvent], vehicle: str) -> tuple[SafetyEvent, ...]:
+    """The events with a vehicle in them."""
+    return tuple(event for event in events if vehicle in (event.first_id, event.second_id))
+
+
+def _what(event: SafetyEvent) -> tuple[str, str, str | None]:
+    return event.tier, event.first_id, event.second_id
 
 
 def verdict(ignored: Iterable[SafetyEvent], obeyed: Iterable[SafetyEvent]) -> str:
@@ -123,16 +131,11 @@ def _worst(events: Iterable[SafetyEvent]) -> Mapping[tuple[str, str | None], int
     return worst
 
 
-def judge_alert(
-    ignored: Branch,
-    obeyed: Branch,
-    ego_id: str,
-    other_id: str,
-) -> AlertVerdict:
+def judge_alert(ignored: Branch, obeyed: Branch, ego_id: str) -> AlertVerdict:
     """The verdict on an alert, from the unmodified branch and the one in which the ego obeys."""
-    events = [
-        concerning(events_in_branch(branch), ego_id, other_id) for branch in (ignored, obeyed)
-    ]
+    events = [concerning(events_in_branch(branch), ego_id) for branch in (ignored, obeyed)]
+    under_way = {_what(one) for one in events[0] if one.start_s <= ignored.time_s[0]}
+    events = [tuple(one for one in of if _what(one) not in under_way) for of in events]
     others = _affected((ignored, obeyed)) - {ego_id}
     lost_m = [
         _way_m(ignored, name) - _way_m(obeyed, name)

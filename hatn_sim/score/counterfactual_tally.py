@@ -35,7 +35,7 @@ class Tally:
 
     verdicts: Mapping[str, int]  # of alerts; every verdict is there
     regrets: Regrets
-    regrets_where_differs: Regrets  # the driver is known to have taken another slot than advised
+    regrets_where_differs: Regrets
     lost: int  # alerts and suggestions of which a branch was lost
 
     @property
@@ -55,15 +55,18 @@ def tally(lines: Iterable[Mapping[str, Any]]) -> Tally:
     whole = [line for line in lines if not line["lost"]]
     alerts = [line["verdict"] for line in whole if line["about"] == "alert"]
     suggestions = [line for line in whole if line["about"] == "suggestion"]
-    differs = [
-        line for line in suggestions if line["driver_slot_id"] not in (None, line["slot_id"])
-    ]
+    differs = [line for line in suggestions if driver_differs(line)]
     return Tally(
         verdicts={verdict: alerts.count(verdict) for verdict in VERDICTS},
         regrets=_regrets(suggestions),
         regrets_where_differs=_regrets(differs),
         lost=len(lines) - len(whole),
     )
+
+
+def driver_differs(line: Mapping[str, Any]) -> bool:
+    """Whether the driver is known to have yielded where to pass was advised, or the reverse."""
+    return line["driver_action"] not in (None, line["action"])
 
 
 def _regrets(lines: Sequence[Mapping[str, Any]]) -> Regrets:
@@ -80,7 +83,7 @@ def tally_words(found: Tally, settings: CounterfactualSettings) -> list[str]:
     words = [f"counterfactuals: {found.alerts} alerts judged: {counts}"]
     for regrets, which in (
         (found.regrets, "suggestions judged"),
-        (found.regrets_where_differs, "of these where the driver took another slot"),
+        (found.regrets_where_differs, "of these where the driver did otherwise (yield or pass)"),
     ):
         words.append(f"{regrets.n} {which}{_regret_words(regrets)}")
     if found.lost:

@@ -7,7 +7,7 @@ all pairs at once, so that hundreds of runs can be swept over thresholds in seco
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -56,19 +56,31 @@ class DangerRecorder:
 
     def trace(self) -> DangerTrace:
         """All that was taken in; of a pair that was named twice at a moment, the worse."""
+        return worst_of_each(self.whole())
+
+    def whole(self) -> DangerTrace:
+        """All that was taken in; of a pair that was named twice at a moment, both."""
         ids = tuple(sorted(self._index))
         rows = np.concatenate([np.zeros((0, 5)), *self._rows])
         place = np.argsort(np.argsort(np.array(list(self._index), dtype=np.str_)))
         pair = np.sort(place[rows[:, 1:3].astype(np.int64)], axis=1)
-        order = np.lexsort((-rows[:, 3], rows[:, 0], pair[:, 1], pair[:, 0]))
+        order = np.lexsort((rows[:, 0], pair[:, 1], pair[:, 0]))
         rows, pair = rows[order], pair[order]
-        key = np.column_stack([pair, rows[:, 0]])
-        keep = np.ones(len(rows), dtype=np.bool_)
-        keep[1:] = (np.diff(key, axis=0) != 0.0).any(axis=1)
-        rows, pair = rows[keep], pair[keep]
         return DangerTrace(
             ids, rows[:, 0], pair[:, 0], pair[:, 1], rows[:, 3], rows[:, 4].astype(np.int64)
         )
+
+
+def worst_of_each(trace: DangerTrace) -> DangerTrace:
+    """Each pair once at a moment, with its greatest danger; none where there is no danger."""
+    some = np.flatnonzero(trace.danger > 0.0)
+    key = np.column_stack([trace.first, trace.second, trace.time_s])[some]
+    order = np.lexsort((-trace.danger[some], key[:, 2], key[:, 1], key[:, 0]))
+    new = np.ones(len(some), dtype=np.bool_)
+    new[1:] = (np.diff(key[order], axis=0) != 0.0).any(axis=1)
+    kept = some[order[new]]
+    columns = ("time_s", "first", "second", "danger", "type")
+    return replace(trace, **{name: getattr(trace, name)[kept] for name in columns})
 
 
 def alerts_at(

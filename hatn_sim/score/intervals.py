@@ -52,6 +52,19 @@ def interval(sums: FloatArray, statistic: Statistic) -> tuple[float, float] | No
     return float(low), float(high)
 
 
+def share_interval(sums: FloatArray) -> tuple[float, float] | None:
+    """That of a share, from [G, 2] hits and samples of each cluster.
+
+    Where all n samples are alike a bootstrap draws nothing else, however few they are; the interval
+    is then that of Clopper and Pearson (1934), which ends at 2.5 % to the power of 1 / n.
+    """
+    hits, count = sums.sum(axis=0).tolist()
+    if 0.0 < hits < count or not count:
+        return interval(sums, ratio)
+    apart = float(BOUNDS[0] ** (1.0 / count))
+    return (apart, 1.0) if hits else (0.0, 1.0 - apart)
+
+
 def mean_intervals(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The intervals (low [D], high [D]) of the means of D values, as `interval` has each of them.
 

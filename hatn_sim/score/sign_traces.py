@@ -15,23 +15,20 @@ from numpy.typing import NDArray
 from hatn_sim.assist.danger_network import DangerNetwork
 from hatn_sim.assist.moment import PairDangers
 from hatn_sim.assist.signs import SIGNS, Signs
-from hatn_sim.score.dangers import DangerRecorder, DangerTrace
+from hatn_sim.score.dangers import DangerRecorder, DangerTrace, worst_of_each
 
 
 @dataclass(frozen=True, eq=False)
 class SignTrace:
-    """Signs of pairs, by pair and then by time."""
+    """Signs of pairs, by pair and then by time; a pair may be there twice at a moment."""
 
     pairs: DangerTrace  # its danger is the number of a row of `signs`
     signs: NDArray[np.float16]  # [D, len(SIGNS)]
 
     def dangers(self, network: DangerNetwork) -> DangerTrace:
         """What a network says of them."""
-        chance = network.chance(self.signs.astype(np.float64))[self.pairs.danger.astype(np.int64)]
-        some = np.flatnonzero(chance > 0.0)
-        found = replace(self.pairs, danger=chance)
-        columns = ("time_s", "first", "second", "danger", "type")
-        return replace(found, **{name: getattr(found, name)[some] for name in columns})
+        chance = network.danger(self.signs.astype(np.float64))[self.pairs.danger.astype(np.int64)]
+        return worst_of_each(replace(self.pairs, danger=chance))
 
 
 class SignRecorder:
@@ -53,4 +50,4 @@ class SignRecorder:
     def trace(self) -> SignTrace:
         """All that was taken in."""
         none = np.zeros((0, len(SIGNS)), dtype=np.float16)
-        return SignTrace(self._dangers.trace(), np.concatenate([none, *self._signs]))
+        return SignTrace(self._dangers.whole(), np.concatenate([none, *self._signs]))

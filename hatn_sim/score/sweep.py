@@ -21,6 +21,8 @@ from hatn_sim.score.assessed import AssessedRun
 from hatn_sim.score.assistance import warned
 
 THRESHOLDS: Final = 80
+BETWEEN: Final = 6
+SMALLEST: Final = 1e-6
 ROUNDING: Final = 1e-9
 
 
@@ -102,3 +104,20 @@ def best_within(curve: Sequence[Operating], false_alarms_per_hour: float) -> Ope
         ),
         default=None,
     )
+
+
+def sharpest_within(
+    runs: Sequence[AssessedRun],
+    rule: str,
+    curve: Sequence[Operating],
+    false_alarms_per_hour: float,
+    settings: AssistSettings | None = None,
+) -> Operating | None:
+    """As `best_within`, looking closer at the thresholds between the best and the next lower."""
+    best = best_within(curve, false_alarms_per_hour)
+    lower = [one.threshold for one in curve if best and one.threshold < best.threshold]
+    if best is None or not lower:
+        return best
+    between = np.geomspace(best.threshold, max(max(lower), SMALLEST), BETWEEN + 2)[1:-1]
+    closer = sweep(runs, rule, [float(one) for one in between], settings)
+    return best_within([*curve, *closer], false_alarms_per_hour)

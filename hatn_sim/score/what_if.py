@@ -29,7 +29,7 @@ from hatn_sim.datatypes import (
     Suggestion,
 )
 from hatn_sim.errors import InputError
-from hatn_sim.labels import slot_label, trajectories_from_rows
+from hatn_sim.labels import crossing_frame, trajectories_from_rows
 from hatn_sim.score.counterfactual import (
     CounterfactualSettings,
     driven_in_branch,
@@ -133,9 +133,9 @@ class WhatIf:
             else:
                 advised = _advised_slot(what, row, graphs)
                 facts |= {"about": "suggestion", "action": what.action}
-                facts |= {"slot_id": _slot_id(graphs, row, advised)}
+                facts |= {"slot_id": _slot_id(graphs, row, advised), "other_id": what.slot_id}
                 place = slots.index(advised)
-                judge = _suggestion_judge(what.ego_id, graphs, row, slots, place, self._settings)
+                judge = _suggestion_judge(what, graphs, row, slots, place, self._settings)
             self._asked.append(_Asked(index, facts, as_it_is, changed, judge))
 
     def _samples(self, index: int, what: Alert | Suggestion) -> bool:
@@ -204,30 +204,32 @@ def _slot_advised(
 
 def _alert_judge(alert: Alert) -> Callable[[Branch, list[Branch]], Line]:
     def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
-        return asdict(judge_alert(as_it_is, changed[0], alert.ego_id, alert.other_id))
+        return asdict(judge_alert(as_it_is, changed[0], alert.ego_id))
 
     return judge
 
 
 def _suggestion_judge(
-    ego_id: str,
+    suggestion: Suggestion,
     graphs: SemanticGraphs,
     row: int,
     slots: Sequence[int],
     advised: int,
     settings: CounterfactualSettings,
 ) -> Callable[[Branch, list[Branch]], Line]:
+    other_id = suggestion.slot_id
+    assert other_id is not None, "who advises names somebody"
+
     def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
-        *costs, drivers = slot_costs([*changed, as_it_is], ego_id, settings)
+        *costs, drivers = slot_costs([*changed, as_it_is], suggestion.ego_id, settings)
         totals = [cost.total for cost in costs]
-        taken = slot_taken(as_it_is, graphs, row)
         return {
             "slots": [
                 {"slot_id": _slot_id(graphs, row, slot), **asdict(cost)}
                 for slot, cost in zip(slots, costs, strict=True)
             ],
             "driver": asdict(drivers),
-            "driver_slot_id": None if taken is None else _slot_id(graphs, row, taken),
+            "driver_action": driver_action(as_it_is, graphs, row, other_id),
             "regret": regret(totals, advised),
             "always_yield_regret": regret(totals, slots.index(YIELD)),
             "driver_regret": drivers.total - min(totals),
@@ -236,25 +238,32 @@ def _suggestion_judge(
     return judge
 
 
-def slot_taken(branch: Branch, graphs: SemanticGraphs, row: int) -> int | None:
-    """The slot of a graph that its ego takes in a branch of that moment; None: not to be told."""
+def driver_action(branch: Branch, graphs: SemanticGraphs, row: int, other_id: str) -> str | None:
+    """What an ego does about another vehicle in a branch of that moment: "pass" before it, "yield".
+
+    Told at the conflict of the two (`labels.crossing_frame`), also where the one that comes second
+    is still on its way there at the branch's end. None: the second has taken another way or left
+    view before, or neither has crossed, or they have no conflict.
+    """
+    focus = graphs.focus_mask[row] & (graphs.rear[row] == graphs.ids.index(other_id))
+    focus[YIELD] = False
+    if not focus.any():
+        return None
+    node = int(focus.argmax())
     driven = driven_in_branch(branch)
     trajectories = trajectories_from_rows(
         driven.ids, driven.vehicle, driven.frame, driven.xy_m, len(driven.time_s)
     )
-    number = {name: v for v, name in enumerate(driven.ids)}
-    rear = graphs.rear[row]
-    known = [graphs.ids[v] in number if v >= 0 else False for v in rear.tolist()]
-    node = [number[graphs.ids[v]] if ok else -1 for v, ok in zip(rear.tolist(), known, strict=True)]
-    one = slice(row, row + 1)
-    taken = slot_label(
-        trajectories,
-        np.array([number[graphs.ids[int(graphs.ego[row])]]]),
-        np.zeros(1, np.int64),
-        np.array([node], np.int64),
-        graphs.focus_mask[one] & np.array([known]),
-        graphs.ego_to_conflict_m[one],
-        graphs.rear_to_conflict_m[one],
-        graphs.conflict_xy_m[one],
-    )
-    return int(taken[0]) if taken[0] >= 0 else None
+    ego_id, last = graphs.ids[int(graphs.ego[row])], len(driven.time_s) - 1
+    both = np.array([driven.ids.index(ego_id), driven.ids.index(other_id)])
+    now = np.zeros(2, np.int64)
+    away_m = np.array([graphs.ego_to_conflict_m[row, node], graphs.rear_to_conflict_m[row, node]])
+    place = np.stack([graphs.conflict_xy_m[row, node]] * 2)
+    crosses_at = crossing_frame(trajectories, both, now, away_m, place, last)
+    crosses = crosses_at >= 0
+    comes = trajectories.seen(both, now, now + last)
+    comes &= trajectories.travelled_at(both, last) < away_m
+    if not crosses.any() or not (crosses | comes).all():
+        return None
+    mine, its = np.where(crosses, crosses_at, last + 1).tolist()
+    return "pass" if mine < its else "yield"
