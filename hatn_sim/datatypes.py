@@ -305,10 +305,14 @@ class Advice:
 
 @dataclass(frozen=True)
 class Command:
-    """What an agent wants of its vehicle in the next tick: acceleration along its own line."""
+    """What an agent wants of its vehicle in the next tick: acceleration along its own line.
+
+    Where the simulator takes it (highway-env), it may steer off that line, too.
+    """
 
     ego_id: str
     acceleration_mps2: float
+    steering_rad: float | None = None  # of the front wheels, left positive; None: along the line
 
 
 @dataclass(frozen=True)

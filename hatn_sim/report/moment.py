@@ -9,7 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import HORIZON_FRAMES, FloatArray, Scene, SemanticGraphs, Suggestion
+from hatn_sim.datatypes import (
+    HORIZON_FRAMES,
+    FloatArray,
+    Lines,
+    Scene,
+    SemanticGraphs,
+    Suggestion,
+)
 from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
 from hatn_sim.log import PredictionTable, Run
@@ -158,22 +165,25 @@ def _slots(
                 is_own=m == 0,
                 in_focus=in_focus,
                 probability=float(table.slot_probability[at, node]) if told else None,
-                strip_xy_m=_strip(state, graphs, int(ego[0]), m),
+                strip_xy_m=slot_strip(
+                    state.road, state.seen.scene, state.seen.lines, graphs, int(ego[0]), m
+                ),
                 conflict_xy_m=table.conflict_xy_m[at, node] if table.has_conflict[at] else None,
             )
         )
     return tuple(slots)
 
 
-def _strip(state: PerceptionState, graphs: SemanticGraphs, ego: int, node: int) -> FloatArray:
-    """Along the line of the vehicle behind the slot, from its front bumper to the slot's front."""
+def slot_strip(
+    road: Road, scene: Scene, lines: Lines, graphs: SemanticGraphs, ego: int, node: int
+) -> FloatArray:
+    """The middle of a slot [P, 2], along the line of the vehicle behind it, from its bumper on."""
     rear = int(graphs.rear[ego, node])
-    lines = state.seen.lines
     length_m = float(np.clip(graphs.x[ego, node, -1, 6], 0.0, SLOT_REACH_M))
-    start_m = float(lines.s_m[rear] + 0.5 * state.seen.scene.size_m[rear, 0])
+    start_m = float(lines.s_m[rear] + 0.5 * scene.size_m[rear, 0])
     s_m = start_m + np.linspace(0.0, length_m, max(int(length_m / LINE_STEP_M), 2))
     line = np.array([lines.line[rear]])
-    strip: FloatArray = state.road.locate(line, s_m[None], np.zeros((1, len(s_m))))[0]
+    strip: FloatArray = road.locate(line, s_m[None], np.zeros((1, len(s_m))))[0]
     return strip
 
 

@@ -40,7 +40,8 @@ class HighwaySimulator:
 
     Its own ego is the vehicle "ego" and is driven by highway-env's IDM and MOBIL like everybody
     else. Any vehicle with a `Command` takes that acceleration, whatever lies ahead, and keeps
-    highway-env's own steering along its lanes; nobody drives backwards. Vehicles show no blinkers,
+    highway-env's own steering along its lanes, unless it is told how to steer; nobody drives
+    backwards. Vehicles show no blinkers,
     since highway-env has none, and obstacles on its roads are not in the scene. The end of an
     episode is ignored: see `highway_traffic` for who comes in and who leaves.
 
@@ -97,7 +98,7 @@ class HighwaySimulator:
         traffic = self._traffic
         if traffic is None:
             raise SimulatorError("highway-env is not running: call reset(seed) first")
-        wanted = {command.ego_id: command.acceleration_mps2 for command in commands}
+        wanted = {command.ego_id: command for command in commands}
         for _ in range(SUBSTEPS):
             drive(traffic, wanted, DT_S / SUBSTEPS)
         self._tick += 1

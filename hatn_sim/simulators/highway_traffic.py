@@ -18,7 +18,7 @@ from highway_env.utils import class_from_path
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
-from hatn_sim.datatypes import DT_S, Route
+from hatn_sim.datatypes import DT_S, Command, Route
 from hatn_sim.simulators.highway_lanes import LaneGraph, LaneIndex, ends, entries, lane_id
 
 ENTRY_M: Final = 5.0
@@ -300,11 +300,11 @@ class Traffic:
         return self.graph.length_m[lane_id(lane)]
 
 
-def drive(traffic: Traffic, accelerations_mps2: Mapping[str, float], step_s: float) -> None:
+def drive(traffic: Traffic, commands: Mapping[str, Command], step_s: float) -> None:
     """One step of highway-env's own drivers and physics.
 
-    Those with a command take its acceleration and keep their own steering. Nobody drives
-    backwards: its IDM does, to open a gap when it stands too close.
+    Those with a command, by name, take its acceleration, and keep their own steering where it has
+    none. Nobody drives backwards: its IDM does, to open a gap when it stands too close.
     """
     road = traffic.road
     road.act()
@@ -313,7 +313,10 @@ def drive(traffic: Traffic, accelerations_mps2: Mapping[str, float], step_s: flo
             continue
         if journey.lane in traffic.graph.merging:
             _change_over(road, vehicle, is_waiting=journey.stood_s > WAIT_S)
-        wanted = accelerations_mps2.get(journey.name, vehicle.action["acceleration"])
+        command = commands.get(journey.name)
+        wanted = vehicle.action["acceleration"] if command is None else command.acceleration_mps2
+        if command is not None and command.steering_rad is not None:
+            vehicle.action["steering"] = -command.steering_rad  # its y grows downward
         vehicle.action["acceleration"] = max(wanted, -max(vehicle.speed, 0.0) / step_s)
     road.step(step_s)
 

@@ -35,8 +35,11 @@ from hatn_sim.simulators.sumo_messages import (
     LaneFoes,
     RawFrame,
     Refused,
+    Spawn,
+    Spawned,
     StartBranches,
     Started,
+    accelerations,
 )
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
 
@@ -135,12 +138,20 @@ class SumoSimulator:
     def step(self, commands: Sequence[Command] = ()) -> Frame:
         """Lets 0.1 s pass. Commands for vehicles not on the road are without effect.
 
-        Raises SimulatorError where SUMO fails or dies; the simulator is closed then.
+        Raises SimulatorError where SUMO fails or dies; the simulator is closed then. InputError for
+        a command that steers.
         """
-        wanted = [(command.ego_id, command.acceleration_mps2) for command in commands]
-        answer = self._inquire(wanted)
+        answer = self._inquire(accelerations(commands))
         assert isinstance(answer, RawFrame)
         return self._frame(answer)
+
+    def spawn(self, name: str, like: str) -> None:
+        """Lets one more vehicle in, as soon as there is room where `like`, on the road, came in.
+
+        It is of the type of that vehicle and drives its whole route. Raises as `step` does.
+        """
+        answer = self._inquire(Spawn(name, like))
+        assert isinstance(answer, Spawned)
 
     @property
     def cannot_branch(self) -> str | None:

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from hatn_sim.datatypes import BoolArray, Change, FloatArray, IntArray, Route
+from hatn_sim.datatypes import BoolArray, Change, Command, FloatArray, IntArray, Route
+from hatn_sim.errors import InputError
 from hatn_sim.simulators.sumo_lanes import LaneTable
+
+
+def accelerations(commands: Iterable[Command]) -> list[tuple[str, float]]:
+    """(vehicle, acceleration in m/s2) of each. Raises InputError for one that steers."""
+    for command in commands:
+        if command.steering_rad is not None:
+            raise InputError(
+                f"{command.ego_id!r} cannot be steered: SUMO keeps vehicles on their lanes; "
+                "command its acceleration alone"
+            )
+    return [(command.ego_id, command.acceleration_mps2) for command in commands]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +86,19 @@ class BranchEnded:
     """A `Branch`, pickled; None where the child that drove it died."""
 
     pickled: bytes | None
+
+
+@dataclass(frozen=True)
+class Spawn:
+    """Asks for another vehicle of the type of one on the road, from where that one came in on."""
+
+    name: str
+    like: str
+
+
+@dataclass(frozen=True)
+class Spawned:
+    """It will be on the road as soon as there is room."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ over its standard input and output. The first message it reads are SUMO's option
 `Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
 commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
 `AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes; nor does it
-for `StartBranches`, which forks children that drive on by themselves, and `AwaitBranch`.
+for `Spawn`, `AwaitBranch` and `StartBranches`, which forks children that drive on by themselves.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
 """
 
@@ -44,6 +44,8 @@ from hatn_sim.simulators.sumo_messages import (
     LaneFoes,
     RawFrame,
     Refused,
+    Spawn,
+    Spawned,
     StartBranches,
     Started,
 )
@@ -156,7 +158,7 @@ class Simulation:
 
     def answer(
         self, message: object
-    ) -> RawFrame | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded:
+    ) -> RawFrame | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned:
         """What is asked without time passing; else the frame after a step of commands."""
         self._branches.reap()
         match message:
@@ -164,6 +166,8 @@ class Simulation:
                 return self._branches.start(futures, self._commanded, steps)
             case AwaitBranch(number):
                 return self._branches.outcome(number)
+            case Spawn(name, like):
+                return self.spawn(name, like)
             case AskFoes(reach_m):
                 return self.junction_foes(reach_m)
             case AskLaneFoes():
@@ -208,6 +212,13 @@ class Simulation:
             done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
             sumo_s=self._sumo_s,
         )
+
+    def spawn(self, name: str, like: str) -> Spawned:
+        """Queues a vehicle of the route and type of another, as it came in."""
+        vehicle = libsumo.vehicle
+        route, kind = vehicle.getRouteID(like), vehicle.getTypeID(like)
+        vehicle.add(name, route, typeID=kind, departLane="best", departSpeed="max")
+        return Spawned()
 
     def junction_foes(self, reach_m: float) -> JunctionFoes:
         """SUMO's list of conflicts within `reach_m` ahead of the vehicles of the newest frame."""

@@ -10,7 +10,12 @@ import numpy as np
 
 from hatn_sim.datatypes import Command, FloatArray, IntArray, Kind, Route, Scene
 from hatn_sim.errors import InputError, nearest
-from hatn_sim.simulators.sumo_messages import Newcomer, ReplayFrame, ReplayStep
+from hatn_sim.simulators.sumo_messages import (
+    Newcomer,
+    ReplayFrame,
+    ReplayStep,
+    accelerations,
+)
 from hatn_sim.simulators.sumo_replay.survey import Survey, front_xy_m
 from hatn_sim.simulators.touching import boxes_touch
 
@@ -216,11 +221,7 @@ class Cast:
                     f"{self.where}: {command.ego_id!r} cannot be driven, it keeps to its "
                     "recording; name it among the vehicles to take over"
                 )
-        return tuple(
-            (command.ego_id, command.acceleration_mps2)
-            for command in commands
-            if command.ego_id in self.driven
-        )
+        return tuple(wanted for wanted in accelerations(commands) if wanted[0] in self.driven)
 
 
 def _wanted_box(scene: Scene, row: int) -> FloatArray:

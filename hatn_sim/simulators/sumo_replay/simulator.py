@@ -155,6 +155,19 @@ class SumoReplay:
         """What came of the vehicles taken over since the last `reset`."""
         return self._divergence.figures(tuple(self._cast.kept) if self._cast else ())
 
+    def drivable(self, least_s: float) -> tuple[str, ...]:
+        """Those recorded for so long with a way in the net; known from the first `reset` on."""
+        stays = {} if self._survey is None else self._survey.stays
+        return tuple(
+            name
+            for name, (first, *_) in stays.items()
+            if first.match is not None and first.last_s - first.first_s >= least_s
+        )
+
+    def take_over(self, vehicles: Mapping[str, float | None]) -> None:
+        """From the next `reset` on, whom to drive and since when, instead of those named before."""
+        self._take_over = dict(vehicles)
+
     def reset(self, seed: int) -> Frame:
         """The recording's first frame; the seed is of SUMO's drivers.
 

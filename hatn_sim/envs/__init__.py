@@ -1,0 +1,30 @@
+"""Gymnasium environments over `tick()`; importing this registers them.
+
+| id | scene |
+|---|---|
+| `hatn_sim/Intersection-v0` | `intersection5`, a five-arm all-way stop |
+| `hatn_sim/Roundabout-v0` | `roundabout8`, eight arms, one lane |
+| `hatn_sim/Scene-v0` | the one named by `scene` or `tracks` |
+
+    import gymnasium
+    import hatn_sim.envs
+
+    env = gymnasium.make("hatn_sim/Intersection-v0", predictor="idm", risk="assertive")
+
+`hatn_sim.envs.options` has the table of all options.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from gymnasium.envs.registration import register
+
+SCENES: Final = {
+    "hatn_sim/Intersection-v0": {"scene": "intersection5"},
+    "hatn_sim/Roundabout-v0": {"scene": "roundabout8"},
+    "hatn_sim/Scene-v0": {},
+}
+
+for _name, _options in SCENES.items():
+    register(_name, entry_point="hatn_sim.envs.scene_env:SceneEnv", kwargs=_options)

@@ -1,0 +1,50 @@
+"""What can go wrong with an environment: an exception type each.
+
+Those that gymnasium has a type for are of that type, too.
+"""
+
+from __future__ import annotations
+
+import gymnasium
+
+from hatn_sim.errors import InputError
+
+
+class OptionError(InputError):
+    """An option is unknown, of the wrong type or out of its range, or does not go with another."""
+
+
+class NeedsResetError(InputError, gymnasium.error.ResetNeeded):
+    """`step` or `render` without an episode: before `reset`, or after `close`."""
+
+
+class EpisodeOverError(NeedsResetError):
+    """`step` after the end of the episode."""
+
+
+class ActionError(InputError, gymnasium.error.InvalidAction):
+    """An action is not of the action space."""
+
+
+class ActionTypeError(ActionError):
+    """It is not of the type of the form of action chosen."""
+
+
+class ActionShapeError(ActionError):
+    """It has not the shape of the action space."""
+
+
+class ActionRangeError(ActionError):
+    """It is out of bounds, or no finite number."""
+
+
+class MaskedActionError(ActionError):
+    """The slot is not there to be chosen now."""
+
+
+class EgoError(InputError):
+    """The ego never comes."""
+
+
+class RenderError(InputError):
+    """What was asked for cannot be shown."""

@@ -1,0 +1,84 @@
+"""What the ego makes of the frames: advice by the one `tick()`, and how a slot is taken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.assist.outlook import look_ahead
+from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
+from hatn_sim.datatypes import Advice, FloatArray, Frame, Predictor, Scene
+from hatn_sim.envs.observation import Sight
+from hatn_sim.graph import build_graphs
+from hatn_sim.loop import Adviser, AdviserState, LineSource, begin, observe, tick
+from hatn_sim.road import Road
+
+NEAREST_FIRST: Final = 0.01
+"""Stands in for probabilities where a predictor gives none: whoever is sooner there goes first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mind:
+    """The memory of an ego's adviser. Handed in and out."""
+
+    adviser: Adviser
+    road: Road
+    state: AdviserState
+    stopped: frozenset[str] = frozenset()  # who has stood at the stop line ahead
+
+
+@dataclass(frozen=True, eq=False)
+class Thought:
+    """What came of a frame."""
+
+    advice: Advice
+    sight: Sight
+
+
+def open_mind(predictor: Predictor, lines: LineSource, ego_id: str, road: Road) -> Mind:
+    """Nothing seen yet; advice is for the ego alone."""
+    adviser = Adviser(predictor, lines, frozenset({ego_id}))
+    return Mind(adviser, road, begin(adviser, road))
+
+
+def glance(mind: Mind, frame: Frame) -> Mind:
+    """Take in a frame on which nothing is decided."""
+    return replace(mind, state=observe(mind.adviser, mind.state, frame))
+
+
+def think(mind: Mind, frame: Frame) -> tuple[Mind, Thought]:
+    """Take in a frame and be advised. Graphs are built here where the predictor has none."""
+    state, advice = tick(mind.adviser, mind.state, frame)
+    prediction, seen = advice.prediction, state.perception.seen
+    graphs, lines = prediction.graphs, prediction.lines
+    if graphs is None or lines is None:
+        graphs, lines = build_graphs(mind.road, seen), seen.lines
+        prediction = replace(prediction, graphs=graphs, lines=lines, slot_probability=None)
+    stopped = stopped_at_line(mind.stopped, frame.scene, graphs)
+    after = replace(mind, state=state, stopped=stopped)
+    return after, Thought(advice, Sight(prediction, graphs, lines))
+
+
+def slot_profile(
+    mind: Mind, sight: Sight, scene: Scene, vehicle: int, slot: int
+) -> Sequence[float]:
+    """Speeds at the end of each tick of a vehicle that takes a slot; none if it is on no line."""
+    row = sight.row_of(vehicle)
+    if row is None:
+        return ()
+    rows = np.array([row])
+    outlook = look_ahead(mind.road, scene, sight.prediction)
+    chances = sight.prediction.slot_probability
+    if chances is None:
+        chances = _sooner_first(outlook.enter_s)
+    told = SuggestionState(stopped=mind.stopped)
+    profiles = slot_profiles(told, outlook, rows, np.array([slot]), chances)
+    speeds: list[float] = profiles.tick_speed_mps()[0].tolist()
+    return speeds
+
+
+def _sooner_first(enter_s: FloatArray) -> FloatArray:
+    return 1.0 / (1.0 + NEAREST_FIRST * enter_s)

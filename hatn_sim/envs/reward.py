@@ -1,0 +1,81 @@
+"""What a step was worth: terms from `Truth` and progress, each times its weight.
+
+| term | unit | what is counted, summed over the frames of a step |
+|---|---|---|
+| `progress_m` | m | along the way that the ego really drives |
+| `time_s` | s | |
+| `discomfort_s` | s | square of the ego's acceleration over `COMFORT_MPS2`, at most \
+`MOST_DISCOMFORT`, times the time |
+| `risk_s` | s | time in which anybody within `NEAR_M` of the ego, or itself, brakes hard: from 0 \
+at `HARD_MPS2` to 1 at `HARDEST_MPS2`, and 1 where the simulator says emergency |
+| `collision` | 1 | the ego has touched somebody |
+| `arrival` | 1 | the ego has arrived |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.datatypes import DT_S, Frame
+from hatn_sim.envs.options import RewardWeights
+
+COMFORT_MPS2: Final = 3.0
+MOST_DISCOMFORT: Final = 9.0
+NEAR_M: Final = 40.0
+HARD_MPS2: Final = 3.0
+HARDEST_MPS2: Final = 8.0
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The terms of a reward, not weighted. Names are those of `RewardWeights`."""
+
+    progress_m: float = 0.0
+    time_s: float = 0.0
+    discomfort_s: float = 0.0
+    risk_s: float = 0.0
+    collision: float = 0.0
+    arrival: float = 0.0
+
+    def __add__(self, other: Terms) -> Terms:
+        return Terms(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(Terms)))
+
+    def weighted(self, weights: RewardWeights) -> dict[str, float]:
+        """What each adds to the reward, by name."""
+        return {
+            one.name: getattr(self, one.name) * getattr(weights, one.name) for one in fields(Terms)
+        }
+
+
+def terms_of(before: Frame, after: Frame, ego_id: str, progress_m: float, arrived: bool) -> Terms:
+    """The terms of one frame; the ego is in `before`."""
+    scene = before.scene
+    row = {name: k for k, name in enumerate(after.scene.ids)}
+    to = np.array([row.get(name, -1) for name in scene.ids], dtype=np.int64)
+    stays = to >= 0
+    speed = np.where(stays, after.scene.speed_mps[to], scene.speed_mps)  # who left has not braked
+    acceleration = (speed - scene.speed_mps) / DT_S
+    ego = scene.ids.index(ego_id)
+    away = scene.xy_m - scene.xy_m[ego]
+    near = (away * away).sum(axis=1) <= NEAR_M**2
+    share = np.clip((-acceleration[near] - HARD_MPS2) / (HARDEST_MPS2 - HARD_MPS2), 0.0, 1.0)
+    emergency = after.truth.emergency_braking
+    is_emergency = bool(emergency) and any(
+        name in emergency for name, close in zip(scene.ids, near.tolist(), strict=True) if close
+    )
+    return Terms(
+        progress_m=progress_m,
+        time_s=DT_S,
+        discomfort_s=DT_S * min((float(acceleration[ego]) / COMFORT_MPS2) ** 2, MOST_DISCOMFORT),
+        risk_s=DT_S * (1.0 if is_emergency else float(share.max())),
+        collision=float(has_collided(after, ego_id)),
+        arrival=float(arrived),
+    )
+
+
+def has_collided(frame: Frame, ego_id: str) -> bool:
+    """Whether the ego touches anybody in this frame."""
+    return any(ego_id in pair for pair in frame.truth.collisions)
