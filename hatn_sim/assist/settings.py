@@ -67,7 +67,7 @@ def read_assist_settings(path: Path) -> AssistSettings:
         if not low <= value <= high:
             raise InputError(
                 f"{path}: {key}: expected {low:g} to {high:g}, found {value:g}; is it in the unit "
-                "that the table of settings says?"
+                "that the README says?"
             )
         given[key] = float(value)
     settings = AssistSettings(**given)

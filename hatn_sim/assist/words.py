@@ -35,7 +35,7 @@ def words(
     `more` others are let go with it on a yield, and the way is open in `open_s`.
     """
     if action == "abstain":
-        return f"Watch {who}: too close to call"
+        return f"Watch {who}: no advice yet"
     if action == "pass":
         return f"Pass before {who}" + ("" if feasible else ", if you can: the gap is tight")
     if more:

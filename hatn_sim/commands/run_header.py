@@ -6,11 +6,13 @@ import argparse
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hatn_sim.commands.options import scene_words
 
 if TYPE_CHECKING:
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import RecordedSource, Scenario
     from hatn_sim.datatypes import Predictor
 
@@ -44,7 +46,7 @@ def make_header(
             "compare": [predictor.name for predictor in predictors[1:]],
             "lines": arguments.lines,
             "egos": None if arguments.egos is None else list(arguments.egos),
-            "assist": asdict(arguments.assist),
+            "assist": _assist_settings(arguments.assist),
             "counterfactuals": _counterfactual_settings(arguments),
             "density": scenario.density,
             "risk": scenario.risk,
@@ -56,6 +58,13 @@ def make_header(
         "trained_on": trained_on(predictors[0]),
         "command": _command(arguments, scenario),
     }
+
+
+def _assist_settings(settings: AssistSettings) -> dict[str, Any]:
+    """The settings, without the folder of the network."""
+    from hatn_sim.assist.settings import NETWORK
+
+    return {**asdict(settings), NETWORK: Path(settings.danger_network).name}
 
 
 def _counterfactual_settings(arguments: argparse.Namespace) -> dict[str, Any] | None:
@@ -118,6 +127,8 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
         words += ["--compare", ",".join(arguments.compare)]
     if arguments.egos is not None:
         words += ["--egos", ",".join(arguments.egos)]
+    if arguments.acts_on_advice:
+        words.append("--assist")
     if arguments.assist_settings is not None:
         words += ["--assist-settings", str(arguments.assist_settings)]
     if arguments.counterfactuals is not None:

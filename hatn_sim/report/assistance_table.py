@@ -14,6 +14,8 @@ from hatn_sim.report.plain_table import plain_table
 
 ALERTS: Final = {
     "event_recall": "recall",
+    "recall_t1": "of T1",
+    "recall_t2": "of T2",
     "recall_1s5": "1.5 s ahead",
     "lead_time_s": "lead",
     "precision": "precision",
