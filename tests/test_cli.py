@@ -347,8 +347,8 @@ def test_json_of_run_and_score_is_the_list_of_scores_and_the_rate_of_the_run(
         "measure", "predictor", "scene", "subset", "adapt", "value", "unit", "n", "low", "high",
         "std",
     )  # fmt: skip
-    # Of recorded tracks it says what lines follow, too.
-    assert tuple(field.name for field in fields(Score)) == (*keys, "lines")
+    # Of recorded tracks it says what lines follow, and of what was trained on that it was.
+    assert tuple(field.name for field in fields(Score)) == (*keys, "lines", "seen")
     assert all(tuple(score) == keys for score in [*scores, rate, factor])
     found = {(score["predictor"], score["measure"], score["subset"]): score for score in scores}
     for predictor in ("constant_velocity", "idm"):

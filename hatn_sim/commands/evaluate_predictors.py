@@ -240,6 +240,7 @@ def _as_run(
         lines=arguments.lines,
         egos=None,
         assist_settings=None,
+        acts_on_advice=False,
         assist=AssistSettings(),
         counterfactuals=None,
         net=None,
