@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from hatn_sim.assist.danger_network import (
     write_danger_networks,
 )
 from hatn_sim.assist.moment import Moment
-from hatn_sim.assist.signs import SIGNS, Signs, signs_of
+from hatn_sim.assist.signs import SIGNS, signs_of
 from hatn_sim.datatypes import SafetyEvent
 from hatn_sim.errors import InputError
 from hatn_sim.learn.danger import EARLY_WEIGHT, NEAR_WEIGHT, examples, fit_danger
@@ -106,7 +107,7 @@ def run_of(
     for time_s, value in zip(times_s, told, strict=True):
         signs = np.zeros((1, len(SIGNS)))
         signs[0, TOLD] = value
-        recorder.add(float(time_s), ("a", "b"), Signs(seen.pairs, seen.going_on, signs))
+        recorder.add(float(time_s), ("a", "b"), replace(seen, of=signs))
     nothing = np.zeros(0)
     return AssessedRun(
         scene="scene",
@@ -172,7 +173,7 @@ def test_of_a_pair_that_is_there_twice_the_worse_is_told() -> None:
     for time_s, told in enumerate(([0.9, 0.1], [0.2, 0.8])):
         signs = np.zeros((2, len(SIGNS)))
         signs[:, TOLD] = told
-        recorder.add(float(time_s), ("a", "b"), Signs(twice, seen.going_on, signs))
+        recorder.add(float(time_s), ("a", "b"), replace(seen, pairs=twice, of=signs))
     trace = recorder.trace()
     assert len(trace.pairs.danger) == 4  # all are examples
     found = trace.dangers(network())

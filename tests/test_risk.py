@@ -157,9 +157,12 @@ def test_the_order_of_a_pair_means_nothing() -> None:
 def test_predicted_times_at_constant_speed_are_those_at_speed() -> None:
     pairs, speed = pairs_at(crossing(-20.0, 10.0, -30.0, 9.0))
     travelled = speed[:, None] * 0.1 * np.arange(1, 31)
-    np.testing.assert_allclose(
-        times_predicted(pairs, travelled).enter_s, times_at_speed(pairs, speed).enter_s
-    )
+    twice_as_fast = np.stack((travelled, 2.0 * travelled), axis=1)
+    steady = times_at_speed(pairs, speed)
+    found = times_predicted(pairs, twice_as_fast)
+    np.testing.assert_allclose(found.enter_s, [steady.enter_s, 0.5 * steady.enter_s])
+    # The first as slow as it is, the second twice as fast.
+    np.testing.assert_allclose(found.mixed().leave_s[0, 1], steady.leave_s * np.array([1.0, 0.5]))
 
 
 def test_arrival_is_linear_between_frames_and_beyond_them() -> None:

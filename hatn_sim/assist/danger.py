@@ -18,7 +18,7 @@ import numpy as np
 from hatn_sim.assist.danger_network import danger_network
 from hatn_sim.assist.moment import CONFLICT, DEVIATION, Moment, PairDangers, pair_dangers
 from hatn_sim.assist.risk import deceleration_to_avoid_mps2
-from hatn_sim.assist.signs import Signs, signs_at_constant_velocity, signs_of, yield_probability
+from hatn_sim.assist.signs import Signs, signs_at_constant_velocity, signs_of
 from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
 
 HATN: Final = "hatn"
@@ -47,10 +47,8 @@ def _better_placed_first(moment: Moment, signs: Signs) -> IntArray:
 
 
 def _deviations(moment: Moment, signs: Signs, first: IntArray, danger: FloatArray) -> PairDangers:
-    assert moment.earlier is not None
     index, enter_s = signs.pairs.index, signs.going_on.enter_s
-    yielded = yield_probability(moment.scene.ids, index, moment.earlier)
-    sure = np.nan_to_num(yielded, nan=0.0) > moment.settings.confident
+    sure = signs.yielded > moment.settings.confident  # nobody is, where it is not known
     # [P, 2] goes first all the same
     deviates: BoolArray = np.asarray(sure & (enter_s < enter_s[:, ::-1]))
     some: BoolArray = np.asarray(deviates.any(axis=1))

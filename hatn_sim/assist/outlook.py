@@ -24,7 +24,7 @@ from hatn_sim.assist.profile import (
     Approach,
     Profiles,
 )
-from hatn_sim.assist.risk import arrival_s
+from hatn_sim.assist.risk import arrival_s, travelled_m
 from hatn_sim.datatypes import (
     DT_S,
     HORIZON_FRAMES,
@@ -80,10 +80,7 @@ def look_ahead(
     """
     graphs, lines = prediction.graphs, prediction.lines
     assert graphs is not None and lines is not None
-    best = prediction.mode_probability.argmax(axis=1)
-    path = prediction.xy_m[np.arange(len(best)), best]
-    whole = np.concatenate((scene.xy_m[:, None], path), axis=1)
-    travelled = np.cumsum(np.linalg.norm(np.diff(whole, axis=1), axis=2), axis=1)
+    travelled = travelled_m(scene, prediction)
     fastest = fastest_travel_m(prediction, travelled)
     e, m = np.nonzero(graphs.node_mask & (np.arange(graphs.rear.shape[1]) > 0))
     index = np.stack((graphs.ego[e], graphs.rear[e, m]), axis=1)

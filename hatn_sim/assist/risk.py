@@ -23,7 +23,15 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.pairs import FOLLOW, Pairs
-from hatn_sim.datatypes import DT_S, ConflictType, FloatArray, IntArray, Prediction, Scene
+from hatn_sim.datatypes import (
+    DT_S,
+    BoolArray,
+    ConflictType,
+    FloatArray,
+    IntArray,
+    Prediction,
+    Scene,
+)
 
 FAR_S: Final = 60.0
 """Predicted arrivals later than this count as this: the vehicle stands."""
@@ -37,29 +45,40 @@ LEAST_GAP_M: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Times:
-    """When the two of each pair [Q, 2] come into their area and are out of it, from now, s."""
+    """When the two of each pair [..., Q, 2] come into their area and are out of it, from now, s."""
 
     enter_s: FloatArray
     leave_s: FloatArray
 
     def encroachment_s(self) -> FloatArray:
-        """Predictive encroachment time (PrET) [Q]: from the first leaving to the second entering.
+        """Predictive encroachment time (PrET) [..., Q]: from the first leaving to the second
+        entering.
 
         Negative where both are there at once.
         """
-        first = self.enter_s[:, 0] <= self.enter_s[:, 1]
+        is_first = self.enter_s[..., 0] <= self.enter_s[..., 1]
         second = self.second_s()
         never = np.isinf(second)
-        leaves = np.where(first, self.leave_s[:, 0], self.leave_s[:, 1])
+        leaves = np.where(is_first, self.leave_s[..., 0], self.leave_s[..., 1])
         return np.where(never, np.inf, np.where(never, 0.0, second) - leaves)
 
     def second_s(self) -> FloatArray:
-        """[Q] when the second comes in."""
-        return np.asarray(self.enter_s.max(axis=1))
+        """[..., Q] when the second comes in."""
+        return np.maximum(self.enter_s[..., 0], self.enter_s[..., 1])
 
     def of(self, rows: IntArray) -> Times:
         """Of some of the pairs."""
-        return Times(self.enter_s[rows], self.leave_s[rows])
+        return Times(self.enter_s[..., rows, :], self.leave_s[..., rows, :])
+
+    def mixed(self) -> Times:
+        """Of W futures [W, Q, 2]: the first in each of them, the second in each [W, W, Q, 2]."""
+        return Times(*(_mixed(times) for times in (self.enter_s, self.leave_s)))
+
+
+def _mixed(of_two: FloatArray) -> FloatArray:
+    out = np.empty((len(of_two), *of_two.shape))
+    out[..., 0], out[..., 1] = of_two[:, None, :, 0], of_two[:, :, 1]
+    return out
 
 
 def times_at_speed(pairs: Pairs, speed_mps: FloatArray) -> Times:
@@ -69,12 +88,11 @@ def times_at_speed(pairs: Pairs, speed_mps: FloatArray) -> Times:
 
 
 def times_predicted(pairs: Pairs, travelled_m: FloatArray) -> Times:
-    """With path lengths [N, F] driven from now on; at most `FAR_S`."""
-    enter, leave = (
-        np.stack([arrival_s(travelled_m, pairs.index[:, k], way[:, k]) for k in (0, 1)], axis=1)
-        for way in (pairs.room_m, pairs.clear_m)
-    )
-    return Times(enter, leave)
+    """Of W futures [W, Q, 2], with path lengths [N, W, F] driven from now on; at most `FAR_S`."""
+    count, frames = travelled_m.shape[1:]
+    way = pairs.index * count + np.arange(count)[:, None, None]
+    distance_m = np.stack((pairs.room_m, pairs.clear_m))[:, None]
+    return Times(*arrival_s(travelled_m.reshape(-1, frames), way, distance_m))
 
 
 def _over(way_m: FloatArray, speed_mps: FloatArray) -> FloatArray:
@@ -87,25 +105,30 @@ def _over(way_m: FloatArray, speed_mps: FloatArray) -> FloatArray:
 def travelled_m(scene: Scene, prediction: Prediction) -> FloatArray:
     """Path length [N, F] of everybody's most probable predicted trajectory."""
     best = prediction.mode_probability.argmax(axis=1)
-    path = prediction.xy_m[np.arange(len(best)), best]
-    whole = np.concatenate((scene.xy_m[:, None], path), axis=1)
-    return np.cumsum(np.linalg.norm(np.diff(whole, axis=1), axis=2), axis=1)
+    return path_length_m(scene.xy_m, prediction.xy_m[np.arange(len(best)), best])
 
 
-def arrival_s(travelled_m: FloatArray, vehicle: np.ndarray, distance_m: FloatArray) -> FloatArray:
+def path_length_m(start_m: FloatArray, xy_m: FloatArray) -> FloatArray:
+    """Path length [..., F] from starts [..., 2] along positions [..., F, 2]."""
+    step = np.empty(xy_m.shape)
+    np.subtract(xy_m[..., 0, :], start_m, out=step[..., 0, :])
+    np.subtract(xy_m[..., 1:, :], xy_m[..., :-1, :], out=step[..., 1:, :])
+    return np.cumsum(np.sqrt(np.einsum("...c,...c->...", step, step)), axis=-1)
+
+
+def arrival_s(travelled_m: FloatArray, vehicle: IntArray, distance_m: FloatArray) -> FloatArray:
     """When vehicles have driven a distance: linear between frames, at the last speed beyond them.
 
-    `travelled_m` [N, F] is the predicted path length; `vehicle` and `distance_m` share any shape.
+    `travelled_m` [N, F] is the predicted path length; `vehicle` and `distance_m` are broadcast
+    against each other.
     """
     path = np.concatenate((np.zeros((len(travelled_m), 1)), travelled_m), axis=1)
-    own = path[vehicle]
-    frames = own.shape[-1] - 1
-    after = np.clip((own < distance_m[..., None]).sum(axis=-1), 1, frames)
-    high = np.take_along_axis(own, after[..., None], -1)[..., 0]
-    low = np.take_along_axis(own, after[..., None] - 1, -1)[..., 0]
-    step = np.maximum(high - low, 1e-3)
-    time_s = (after - 1 + (distance_m - low) / step) * DT_S
-    return np.clip(np.where(distance_m <= 0, 0.0, time_s), 0.0, FAR_S)
+    reached = path[:, 1:].copy()
+    reached[:, -1] = np.inf  # what is beyond the last frame is reached after it
+    after = (reached[vehicle] < distance_m[..., None]).argmin(axis=-1) + 1
+    high, low = path[vehicle, after], path[vehicle, after - 1]
+    time_s = (after - 1 + (distance_m - low) / np.maximum(high - low, 1e-3)) * DT_S
+    return np.minimum(np.where(distance_m <= 0.0, 0.0, time_s), FAR_S)
 
 
 # ---------------------------------------------------------------------------------------------
@@ -117,7 +140,7 @@ def time_to_collision_s(pairs: Pairs, speed_mps: FloatArray) -> FloatArray:
     times = times_at_speed(pairs, speed_mps)
     second = times.second_s()
     crossing = np.where(times.encroachment_s() < 0.0, second, np.inf)
-    gap, closing, _ = _in_line(pairs, speed_mps)
+    gap, closing, _ = _in_line(pairs, speed_mps[pairs.index])
     following = _over(gap, closing)
     # In one lane from when the second is in it: what is left of the gap then is closed.
     still = np.where(np.isfinite(second), second, 0.0)
@@ -136,26 +159,17 @@ def deceleration_to_avoid_mps2(
     """DRAC [Q, 2]: what each of a pair would have to brake at, if the other goes on.
 
     `leave_s` [Q, 2] is when the other leaves the area. Infinite for the leader of two who follow:
-    its braking helps nobody.
+    its braking helps nobody. Speeds, `leave_s` and the distances of `pairs` may have axes in front,
+    of several cases at once.
     """
-    speed = speed_mps[pairs.index]
-    give_way = np.stack(
-        [
-            required_deceleration_mps2(pairs.room_m[:, k], speed[:, k], leave_s[:, 1 - k])
-            for k in (0, 1)
-        ],
-        axis=1,
-    )
-    gap, closing, behind = _in_line(pairs, speed_mps)
+    speed = speed_mps[..., pairs.index]
+    give_way = required_deceleration_mps2(pairs.room_m, speed, leave_s[..., ::-1])
+    gap, closing, is_behind = _in_line(pairs, speed)
     brakes = np.maximum(closing, 0.0) ** 2 / (2.0 * np.maximum(gap, LEAST_GAP_M))
-    is_behind = np.arange(2) == behind[:, None]
-    follow = np.where(is_behind, brakes[:, None], np.inf)
-    merge = np.where(is_behind, np.maximum(give_way, brakes[:, None]), give_way)
-    return np.select(
-        [(pairs.type == kind)[:, None] for kind in (FOLLOW, ConflictType.MERGE)],
-        [follow, merge],
-        give_way,
-    )
+    follows = (pairs.type == FOLLOW)[:, None]
+    give_way = np.where(follows, np.where(is_behind, 0.0, np.inf), give_way)
+    brakes_too = is_behind & (pairs.type != ConflictType.CROSS)[:, None]
+    return np.where(brakes_too, np.maximum(give_way, brakes[..., None]), give_way)
 
 
 def time_headway_s(pairs: Pairs, speed_mps: FloatArray) -> FloatArray:
@@ -179,17 +193,18 @@ def required_deceleration_mps2(
     return np.where(speed_mps * time <= distance_m, 0.0, needed)
 
 
-def _in_line(pairs: Pairs, speed_mps: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """Of those who follow or merge [Q]: gap along the common lane, closing speed, who is behind.
+def _in_line(pairs: Pairs, speed_mps: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Of those who follow or merge, at speeds [..., Q, 2]: gap along the common lane [..., Q],
+    closing speed [..., Q], who is behind [..., Q, 2].
 
     At a merge both are laid on one lane by their distances to it; of no meaning at a crossing.
     """
-    ahead = pairs.to_point_m[:, 0] - pairs.to_point_m[:, 1]
-    ahead = np.where(pairs.type == FOLLOW, 0.0, ahead)
-    behind = np.where(ahead > 0.0, 0, 1)
+    follows = pairs.type == FOLLOW
+    ahead = pairs.to_point_m[..., 0] - pairs.to_point_m[..., 1]
+    first_behind = (ahead > 0.0) & ~follows
     # half lengths are what the way to the point has more than the room before it
-    half = 0.5 * pairs.length_m.sum(axis=1)
-    gap = np.where(pairs.type == FOLLOW, pairs.room_m[:, 1], np.abs(ahead) - half)
-    rows = np.arange(len(behind))
-    speed = speed_mps[pairs.index]
-    return gap, speed[rows, behind] - speed[rows, 1 - behind], behind
+    half = 0.5 * (pairs.length_m[:, 0] + pairs.length_m[:, 1])
+    gap = np.where(follows, pairs.room_m[..., 1], np.abs(ahead) - half)
+    gains = speed_mps[..., 0] - speed_mps[..., 1]
+    closing = np.where(first_behind, gains, -gains)
+    return gap, closing, np.stack((first_behind, ~first_behind), axis=-1)
