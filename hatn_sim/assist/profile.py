@@ -22,6 +22,7 @@ KNOT_AT_S: Final[FloatArray] = np.array(
 """Between knots the jerk is constant. The first ones are closest: a new profile replaces them."""
 KNOTS: Final = len(KNOT_AT_S) - 1
 _KNOT_STEP_S: Final[list[float]] = np.diff(KNOT_AT_S).tolist()
+_KNOT_BEFORE_S: Final = np.append(0.0, KNOT_AT_S[:-1])
 ROAD_STEP_M: Final = 2.5
 ROAD_REACH_M: Final = 50.0
 
@@ -153,8 +154,8 @@ def drive(approach: Approach) -> Profiles:
     speeds[0], accelerations[0], travels[0] = speed, acceleration, travelled
     places = _places(approach)
     for knot, step_s in enumerate(_KNOT_STEP_S, start=1):
-        now = knot, speed, acceleration, travelled
-        wanted = np.minimum(_keep_out(approach, places, *now), _by_road(approach, *now[1:]))
+        now = speed, acceleration, travelled
+        wanted = np.minimum(_keep_out(places, knot, *now), _by_road(approach, *now))
         jerk = np.where(wanted < -COMFORT_BRAKING_MPS2, HARD_JERK_MPS3, COMFORT_JERK_MPS3)
         before = acceleration
         most = np.minimum(before + COMFORT_JERK_MPS3 * step_s, COMFORT_ACCELERATION_MPS2)
@@ -174,42 +175,70 @@ def _by_road(
     approach: Approach, speed: FloatArray, acceleration: FloatArray, travelled: FloatArray
 ) -> FloatArray:
     # Where it will be when the difference has been made up for.
-    last = approach.allowed_mps.shape[1] - 1.001
-    ahead = np.minimum((travelled + EASE_S * speed) / ROAD_STEP_M, last)
+    points = approach.allowed_mps.shape[1]
+    ahead = np.minimum((travelled + EASE_S * speed) / ROAD_STEP_M, points - 1.001)
     low = ahead.astype(np.int64)
     row = np.arange(len(speed))
     before, after = approach.allowed_mps[row, low], approach.allowed_mps[row, low + 1]
     allowed = before + (ahead - low) * (after - before)
-    return np.maximum(_towards(allowed, speed, acceleration), -SLOWING_MPS2)
+    return np.maximum(_towards(allowed, _then_mps(speed, acceleration)), -SLOWING_MPS2)
+
+
+_RULES: Final = np.array(
+    [
+        (rule.braking_mps2, rule.braking_mps2 * rule.time_s, rule.short_m, ease_s)
+        # What stands still is reckoned with from where the vehicle will be: or it stops too late.
+        for rule, ease_s in ((AREA, EASE_S), (LINE, EASE_S), (LEADER, 0.0))
+    ]
+).T
 
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """What vehicles keep out of: areas, then the line, last the leader."""
+    """The L places that vehicles keep out of: A areas, then lines, last the leader of each vehicle.
 
-    room_m: FloatArray  # [K + 2, R]; the leader's is of each knot
-    open_s: FloatArray  # [K, R]
-    braking_mps2: FloatArray  # [K + 2, 1] of the rule of each
-    slack_mps: FloatArray
-    short_m: FloatArray
+    What is known of them beforehand, at every knot [G, ...].
+    """
+
+    profile: IntArray  # [L] whose
+    braking_mps2: FloatArray  # [L] of the rule of each
+    slack_mps: FloatArray  # [L]
+    ease_s: FloatArray  # [L]
+    square: FloatArray  # [G, L] (m/s)^2, of the speed safe there, but for the way driven until then
+    stop_m: FloatArray  # [G, L] where to stand at the latest
+    square_there: FloatArray  # [G, L] of the speed of the place
+    arrive_m: FloatArray  # [A] where to be as areas open
+    left_s: FloatArray  # [G, A] from the knot before until then
 
 
 def _places(approach: Approach) -> _Places:
-    used = np.isfinite(approach.area_m).any(axis=0)
-    area_m = approach.area_m[:, used].T
-    rules = (*(AREA,) * len(area_m), LINE, LEADER)
-    column = np.array([(rule.braking_mps2, rule.time_s, rule.short_m) for rule in rules])
+    of_area, which = np.nonzero(np.isfinite(approach.area_m))
+    of_line = np.flatnonzero(np.isfinite(approach.stop_m))
+    of_leader = np.arange(len(approach.speed_mps))
+    area_m = approach.area_m[of_area, which]
+    numbers = len(of_area), len(of_line), len(of_leader)
+    braking, slack, short, ease = np.repeat(_RULES, numbers, axis=1)
+    room_m = np.empty((KNOTS + 1, len(braking)))
+    standing = len(room_m[0]) - len(of_leader)
+    room_m[:, :standing] = np.concatenate((area_m, approach.stop_m[of_line]))
+    room_m[:, standing:] = approach.leader_m.T
+    square_there = np.zeros(room_m.shape)
+    square_there[:, standing:] = approach.leader_mps.T**2
     return _Places(
-        room_m=np.concatenate((area_m, approach.stop_m[None], approach.leader_m[None, :, 0])),
-        open_s=approach.open_s[:, used].T,
-        braking_mps2=column[:, :1],
-        slack_mps=column[:, :1] * column[:, 1:2],
-        short_m=column[:, 2:],
+        profile=np.concatenate((of_area, of_line, of_leader)),
+        braking_mps2=braking,
+        slack_mps=slack,
+        ease_s=ease,
+        square=slack**2 + 2.0 * braking * (room_m - short) + square_there,
+        stop_m=room_m - 0.5 * short,
+        square_there=square_there,
+        # As it opens the vehicle is a little before it: should it open late, that is what is left.
+        arrive_m=area_m - AREA.short_m,
+        left_s=approach.open_s[of_area, which] - approach.start_s - _KNOT_BEFORE_S[:, None],
     )
 
 
 def _keep_out(
-    approach: Approach,
     places: _Places,
     knot: int,
     speed: FloatArray,
@@ -222,35 +251,31 @@ def _keep_out(
     v t + v^2 / 2b = d + u^2 / 2b (Gipps 1981, eq. 4, with equal braking b). They brake harder than
     planned only for the room itself.
     """
-    braking, slack = places.braking_mps2, places.slack_mps
-    room = places.room_m - travelled
-    room[-1] = approach.leader_m[:, knot] - travelled
-    leader_square = approach.leader_mps[:, knot] ** 2
-    ahead = room - places.short_m
-    # What stands still is reckoned with from where the vehicle will be: or it stops too late.
-    ahead[:-1] -= EASE_S * speed
-    square = slack**2 + 2.0 * braking * ahead
-    square[-1] += leader_square
-    safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - slack, 0.0)
-    stops_m = 2.0 * np.maximum(room - 0.5 * places.short_m, 0.25)
-    needed = speed**2 / stops_m
-    needed[-1] = np.maximum(speed**2 - leader_square, 0.0) / stops_m[-1]
-    wanted = np.maximum(_towards(safe, speed, acceleration), -np.maximum(braking, 1.2 * needed))
+    own, braking = places.profile, places.braking_mps2
+    v, gone = speed[own], travelled[own]
+    square = places.square[knot] - 2.0 * braking * (gone + places.ease_s * v)
+    safe = np.maximum(np.sqrt(np.maximum(square, 0.0)) - places.slack_mps, 0.0)
+    faster_square = np.maximum(v * v - places.square_there[knot], 0.0)
+    needed = 0.5 * faster_square / np.maximum(places.stop_m[knot] - gone, 0.25)
+    wanted = _towards(safe, _then_mps(speed, acceleration)[own])
+    wanted = np.maximum(wanted, -np.maximum(braking, 1.2 * needed))
     wanted = np.where(needed > 0.8 * braking, np.minimum(wanted, -needed), wanted)
-    areas = len(places.open_s)
+    areas, others = len(places.arrive_m), len(own) - len(speed)
     if areas:
-        left_s = places.open_s - (approach.start_s + KNOT_AT_S[knot - 1])
-        wanted[:areas] = _in_time(left_s, room[:areas], speed, wanted[:areas])
-    return np.asarray(wanted.min(axis=0))
+        wanted[:areas] = _in_time(
+            places.left_s[knot], places.arrive_m - gone[:areas], v[:areas], wanted[:areas]
+        )
+    least = wanted[others:]
+    np.minimum.at(least, own[:others], wanted[:others])
+    return least
 
 
 def _in_time(
-    left_s: FloatArray, room_m: FloatArray, speed: FloatArray, stopping: FloatArray
+    left_s: FloatArray, way_m: FloatArray, speed: FloatArray, stopping: FloatArray
 ) -> FloatArray:
-    """Acceleration [K, R] to arrive at areas as they open, in `left_s`, or to stop before them."""
+    """Acceleration [A] to have driven ways as areas open, in `left_s`, or to stop before them."""
     late_s = np.maximum(left_s, EASE_S)
-    # As it opens the vehicle is a little before it: should it open late, that is what is left.
-    even = 2.0 * (room_m - AREA.short_m - speed * late_s) / late_s**2
+    even = 2.0 * (way_m - speed * late_s) / late_s**2
     # What the last centimetres would take is not worth more than comfort.
     sure = left_s > SURE_S
     even = np.where(sure, even, np.maximum(even, -AREA.braking_mps2))
@@ -260,6 +285,11 @@ def _in_time(
     return np.where(left_s > 0.0, wanted, np.inf)
 
 
-def _towards(wanted_mps: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
-    """Acceleration to a speed; what the present one still does until it has changed is counted."""
-    return np.asarray((wanted_mps - speed - LAG_S * acceleration) / EASE_S)
+def _then_mps(speed: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """The speed when the acceleration can be another."""
+    return speed + LAG_S * acceleration
+
+
+def _towards(wanted_mps: FloatArray, then_mps: FloatArray) -> FloatArray:
+    """Acceleration to a speed, from that when it can be another."""
+    return (wanted_mps - then_mps) / EASE_S
