@@ -81,7 +81,6 @@ def look_ahead(
     graphs, lines = prediction.graphs, prediction.lines
     assert graphs is not None and lines is not None
     travelled = travelled_m(scene, prediction)
-    fastest = fastest_travel_m(prediction, travelled)
     e, m = np.nonzero(graphs.node_mask & (np.arange(graphs.rear.shape[1]) > 0))
     index = np.stack((graphs.ego[e], graphs.rear[e, m]), axis=1)
     to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
@@ -89,7 +88,12 @@ def look_ahead(
     half, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
     near, far = _cut_m(road, scene, index, lines.line[index], point_s)
     room, clear = to_point - half - near, to_point + half + far
-    ego, other = index.T
+    # The ego's and the other's way into the area, and the other's way out of it; and the other's
+    # way in once more, with the path that it may plausibly take.
+    ways = np.concatenate((travelled, fastest_travel_m(prediction, travelled)))
+    vehicle = np.stack((index[:, 0], index[:, 1], index[:, 1], index[:, 1] + len(travelled)))
+    way_m = np.stack((room[:, 0], room[:, 1], clear[:, 1], room[:, 1]))
+    ego_enter, enter, leave, soonest = arrival_s(ways, vehicle, way_m)
 
     def by_node(of_pair: FloatArray) -> FloatArray:
         whole = np.zeros(graphs.rear.shape)
@@ -104,10 +108,10 @@ def look_ahead(
         room_m=by_node(room[:, 0]),
         clear_m=by_node(clear[:, 0]),
         other_room_m=by_node(room[:, 1]),
-        ego_enter_s=by_node(arrival_s(travelled, ego, room[:, 0])),
-        enter_s=by_node(arrival_s(travelled, other, room[:, 1])),
-        leave_s=by_node(arrival_s(travelled, other, clear[:, 1])),
-        soonest_s=by_node(arrival_s(fastest, other, room[:, 1])),
+        ego_enter_s=by_node(ego_enter),
+        enter_s=by_node(enter),
+        leave_s=by_node(leave),
+        soonest_s=by_node(soonest),
         taken_m=taken_m,
         taken_s=taken_s,
     )
@@ -304,23 +308,30 @@ def _leaders(
     there = (leader >= 0)[:, None]
     ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
     ahead_mps = np.where(there, speed[leader], 0.0)
-    merges = first & (graphs.conflict_type[row] == ConflictType.MERGE)
-    if not merges.any():
+    r, m = np.nonzero(first & (graphs.conflict_type[row] == ConflictType.MERGE))
+    if not len(r):
         return ahead, ahead_mps
-    other = np.maximum(graphs.rear[row], 0)
-    half_m = 0.5 * (scene.size_m[ego, 0][:, None] + scene.size_m[other, 0])
-    before_m = graphs.ego_to_conflict_m[row] - graphs.rear_to_conflict_m[row] - half_m
-    room_m = outlook.room_m[row]
-    begun = (room_m <= 0.0)[..., None]
-    near_end_m = np.where(begun, -np.inf, room_m[..., None] + LEADER.short_m)
-    place = np.maximum(before_m[..., None] + travel[other], near_end_m)
-    counts = merges[..., None] & (begun | (time_s >= outlook.enter_s[row][..., None]))
-    place = np.where(counts, place, np.inf)
-    nearest = place.argmin(axis=1)[:, None]
-    nearest_m = np.take_along_axis(place, nearest, axis=1)[:, 0]
-    nearest_mps = np.take_along_axis(speed[other], nearest, axis=1)[:, 0]
-    nearer = nearest_m < ahead
-    return np.where(nearer, nearest_m, ahead), np.where(nearer, nearest_mps, ahead_mps)
+    other = graphs.rear[row[r], m]
+    half_m = 0.5 * (scene.size_m[ego[r], 0] + scene.size_m[other, 0])
+    before_m = graphs.ego_to_conflict_m[row[r], m] - graphs.rear_to_conflict_m[row[r], m] - half_m
+    room_m, enter_s = outlook.room_m[row[r], m], outlook.enter_s[row[r], m]
+    begun = (room_m <= 0.0)[:, None]
+    near_end_m = np.where(begun, -np.inf, room_m[:, None] + LEADER.short_m)
+    place_m = np.maximum(before_m[:, None] + travel[other], near_end_m)
+    counts = begun | (time_s >= enter_s[:, None])
+    place_m = np.where(counts, place_m, np.inf)
+    # Of the nodes of each row, which follow each other, the first that is nearest.
+    begins = np.flatnonzero(np.diff(r, prepend=-1))
+    nearest_m = np.minimum.reduceat(place_m, begins)
+    is_nearest = place_m == np.repeat(nearest_m, np.diff(begins, append=len(r)), axis=0)
+    node = np.where(is_nearest, np.arange(len(r))[:, None], len(r))
+    nearest = np.minimum.reduceat(node, begins)
+    nearest_mps = speed[other[nearest], np.arange(len(time_s))]
+    rows = r[begins]
+    nearer = nearest_m < ahead[rows]
+    ahead[rows] = np.where(nearer, nearest_m, ahead[rows])
+    ahead_mps[rows] = np.where(nearer, nearest_mps, ahead_mps[rows])
+    return ahead, ahead_mps
 
 
 def travel_at(
