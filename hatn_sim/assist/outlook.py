@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.pairs import LEAST_ANGLE_RAD, Pairs, area_m, at_conflicts
+from hatn_sim.assist.pairs import CROSS, LEAST_ANGLE_RAD, MERGE, Pairs, area_m, at_conflicts
 from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
@@ -29,7 +29,6 @@ from hatn_sim.datatypes import (
     DT_S,
     HORIZON_FRAMES,
     BoolArray,
-    ConflictType,
     FloatArray,
     Front,
     IntArray,
@@ -157,16 +156,15 @@ def _taken(
     """
     count = len(graphs.ids)
     nearest, until = np.full(count, np.inf), np.zeros(count)
-    for mine, its in ((0, 1), (1, 0)):
-        inside = (pairs.type == ConflictType.CROSS) & (pairs.room_m[:, its] <= 0.0)
-        inside &= pairs.room_m[:, mine] > -0.5 * pairs.length_m[:, mine]
-        q = np.flatnonzero(inside)
-        q = q[np.argsort(-pairs.room_m[q, mine], kind="stable")]  # the nearest is written last
-        leave = arrival_s(travelled_m, pairs.index[q, its], pairs.clear_m[q, its])
-        nearer = pairs.room_m[q, mine] < nearest[pairs.index[q, mine]]
-        q, leave = q[nearer], leave[nearer]
-        nearest[pairs.index[q, mine]] = pairs.room_m[q, mine]
-        until[pairs.index[q, mine]] = leave + LEAVE_MARGIN_S
+    inside = (pairs.type == CROSS)[:, None] & (pairs.room_m[:, ::-1] <= 0.0)
+    inside &= pairs.room_m > -0.5 * pairs.length_m
+    q, mine = np.nonzero(inside)
+    if len(q):
+        room_m, its = pairs.room_m[q, mine], 1 - mine
+        leave_s = arrival_s(travelled_m, pairs.index[q, its], pairs.clear_m[q, its])
+        order = np.lexsort((leave_s, -room_m))  # the nearest is written last
+        ego = pairs.index[q, mine][order]
+        nearest[ego], until[ego] = room_m[order], leave_s[order] + LEAVE_MARGIN_S
     return nearest[graphs.ego], until[graphs.ego]
 
 
@@ -217,7 +215,7 @@ def approaches(
     # Whoever stops in somebody's way is no help to anybody.
     first &= ~in_the_way(outlook, row)
     # Who has begun to merge is kept apart from those ahead by following them.
-    merging = graphs.conflict_type[row] == ConflictType.MERGE
+    merging = graphs.conflict_type[row] == MERGE
     closed = first & ~(merging & (outlook.room_m[row] <= 0.0))
     opens = outlook.leave_s[row] + LEAVE_MARGIN_S
     leader_m, leader_mps = _leaders(outlook, row, first, start_s + KNOT_AT_S)
@@ -254,7 +252,7 @@ def in_the_way(outlook: Outlook, row: IntArray) -> BoolArray:
     graphs = outlook.graphs
     others = graphs.node_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
     behind = graphs.rear_to_conflict_m[row] > graphs.ego_to_conflict_m[row]
-    behind &= graphs.conflict_type[row] == ConflictType.MERGE
+    behind &= graphs.conflict_type[row] == MERGE
     alone = behind | (outlook.other_room_m[row] > 0.0)
     return others & (outlook.room_m[row] < -NOSE_M) & alone
 
@@ -308,7 +306,7 @@ def _leaders(
     there = (leader >= 0)[:, None]
     ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
     ahead_mps = np.where(there, speed[leader], 0.0)
-    r, m = np.nonzero(first & (graphs.conflict_type[row] == ConflictType.MERGE))
+    r, m = np.nonzero(first & (graphs.conflict_type[row] == MERGE))
     if not len(r):
         return ahead, ahead_mps
     other = graphs.rear[row[r], m]
@@ -321,13 +319,12 @@ def _leaders(
     counts = begun | (time_s >= enter_s[:, None])
     place_m = np.where(counts, place_m, np.inf)
     # Of the nodes of each row, which follow each other, the first that is nearest.
-    begins = np.flatnonzero(np.diff(r, prepend=-1))
+    rows, begins, of_row = np.unique(r, return_index=True, return_inverse=True)
     nearest_m = np.minimum.reduceat(place_m, begins)
-    is_nearest = place_m == np.repeat(nearest_m, np.diff(begins, append=len(r)), axis=0)
+    is_nearest = place_m == nearest_m[of_row]
     node = np.where(is_nearest, np.arange(len(r))[:, None], len(r))
     nearest = np.minimum.reduceat(node, begins)
     nearest_mps = speed[other[nearest], np.arange(len(time_s))]
-    rows = r[begins]
     nearer = nearest_m < ahead[rows]
     ahead[rows] = np.where(nearer, nearest_m, ahead[rows])
     ahead_mps[rows] = np.where(nearer, nearest_mps, ahead_mps[rows])
@@ -342,10 +339,11 @@ def travel_at(
     Beyond them at the last speed, or slowing down evenly from it.
     """
     path = np.concatenate((np.zeros((len(travelled_m), 1)), travelled_m), axis=1)
-    step = np.diff(path, axis=1)
     frame = time_s / DT_S
     low = np.minimum((frame + 1e-9).astype(np.int64), HORIZON_FRAMES - 1)
-    way, speed = path[:, low] + (frame - low) * step[:, low], step[:, low] / DT_S
+    before_m = path[:, low]
+    step_m = path[:, low + 1] - before_m
+    way, speed = before_m + (frame - low) * step_m, step_m / DT_S
     if slowing_mps2:
         beyond_s = np.maximum(time_s - DT_S * HORIZON_FRAMES, 0.0)
         lost_mps = np.minimum(slowing_mps2 * beyond_s, speed)
@@ -372,7 +370,7 @@ def pass_margins_s(
     own_mps = np.take_along_axis(profiles.speed_mps, knot, axis=1)
     faster = np.maximum(other_mps - own_mps, 0.0)
     brakes_s = faster**2 / (2.0 * COMFORT_BRAKING_MPS2 * np.maximum(other_mps, 1.0))
-    merging = graphs.conflict_type[row] == ConflictType.MERGE
+    merging = graphs.conflict_type[row] == MERGE
     needed_s = clear_s + np.where(merging, brakes_s, 0.0)
 
     def margin(enter_s: FloatArray) -> FloatArray:

@@ -26,6 +26,8 @@ AHEAD_S: Final = 5.0
 """... nor those farther than `NEAR_M` which a vehicle does not come so near to in this time."""
 LEAST_ANGLE_RAD: Final = np.deg2rad(20.0)
 """Lines that cross at less are taken to cross at this: the area would have no end."""
+CROSS: Final = int(ConflictType.CROSS)
+MERGE: Final = int(ConflictType.MERGE)
 FOLLOW: Final = 2
 """Beside the types of conflict: the second follows the first, in its corridor."""
 
@@ -77,39 +79,35 @@ def area_m(
     `index` and `line` [Q, 2] are the vehicles and their lines, `point_s_m` [Q, 2] the conflict on
     either. At a merge the area begins where outlines would touch, as at a crossing.
     """
-    yaw = np.stack([road.line_yaw_rad(line[:, k], point_s_m[:, k]) for k in (0, 1)], axis=1)
+    yaw = road.line_yaw_rad(line, point_s_m)
     angle = np.abs(wrap_angle(yaw[:, 1] - yaw[:, 0]))
     length, width = scene.size_m[index, 0], scene.size_m[index, 1]
-    crossing = np.clip(angle, LEAST_ANGLE_RAD, np.pi - LEAST_ANGLE_RAD)[:, None]
-    swept = (width[:, ::-1] + width * np.abs(np.cos(crossing))) / (2.0 * np.sin(crossing))
+    crossing = np.minimum(np.maximum(angle, LEAST_ANGLE_RAD), np.pi - LEAST_ANGLE_RAD)[:, None]
+    sin = np.sin(crossing)
+    swept = (width[:, ::-1] + width * np.abs(np.cos(crossing))) / (2.0 * sin)
     # Merging lines are as near as `CONFLICT_WIDTH_M` where the area begins: what is wider than
     # that comes in earlier.
-    wider = np.maximum(width.mean(axis=1, keepdims=True) - CONFLICT_WIDTH_M, 0.0)
-    aside = np.where((kind == ConflictType.MERGE)[:, None], wider / np.sin(crossing), swept)
+    wider = np.maximum(0.5 * (width[:, :1] + width[:, 1:]) - CONFLICT_WIDTH_M, 0.0)
+    aside = np.where((kind == MERGE)[:, None], wider / sin, swept)
     return 0.5 * length + aside, angle
 
 
 def at_conflicts(road: Road, scene: Scene, lines: Lines) -> Pairs:
     """The pairs at conflicts only, of those of `pairs_of`."""
-    on = np.flatnonzero(lines.line >= 0)
-    near = np.zeros((0, 2), dtype=np.int64)
     reach = np.minimum(NEAR_M + AHEAD_S * scene.speed_mps, REACH_M)
-    if len(on) > 1:
-        far_m = 2.0 * float(reach[on].max())
-        near = on[KDTree(scene.xy_m[on]).query_pairs(far_m, output_type="ndarray")]
-        away = scene.xy_m[near[:, 0]] - scene.xy_m[near[:, 1]]
-        near = near[(away * away).sum(axis=1) <= reach[near].sum(axis=1) ** 2]
-    met = road.conflict_table.of_pairs(lines.line[near[:, 0]], lines.line[near[:, 1]])
-    index, kind = near[met.pair], met.type
-    point_s = met.point_s_m
+    near = _within_reach(scene.xy_m, reach, np.flatnonzero(lines.line >= 0))
+    met = road.conflict_table.of_pairs(*lines.line[near].T)
+    index, point_s = near[met.pair], met.point_s_m
     to_point = point_s - lines.s_m[index]
-    within = ((to_point <= reach[index]) & (to_point > -REACH_M)).all(axis=1)
-    index, kind, point_s, to_point = index[within], kind[within], point_s[within], to_point[within]
+    within = (to_point <= reach[index]) & (to_point > -REACH_M)
+    some = np.flatnonzero(within[:, 0] & within[:, 1])
+    index, kind, point_s, to_point = index[some], met.type[some], point_s[some], to_point[some]
     half, angle = area_m(road, scene, index, lines.line[index], point_s, kind)
     clear = to_point + half
-    ahead = (clear > 0.0).all(axis=1)
+    ahead = np.flatnonzero((clear[:, 0] > 0.0) & (clear[:, 1] > 0.0))
     index, kind, to_point, half = index[ahead], kind[ahead], to_point[ahead], half[ahead]
-    first = _first_of_each(index[:, 0] * len(scene.ids) + index[:, 1], to_point.max(axis=1))
+    later_m = np.maximum(to_point[:, 0], to_point[:, 1])
+    first = _first_of_each(index[:, 0] * len(scene.ids) + index[:, 1], later_m)
     index, to_point, half = index[first], to_point[first], half[first]
     return Pairs(
         index=index,
@@ -122,18 +120,33 @@ def at_conflicts(road: Road, scene: Scene, lines: Lines) -> Pairs:
     )
 
 
+def _within_reach(xy_m: FloatArray, reach_m: FloatArray, of: IntArray) -> IntArray:
+    """The pairs [Q, 2] of vehicles `of` that are no farther apart than both reach together."""
+    if len(of) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    far_m = 2.0 * float(reach_m[of].max())
+    one, other = of[KDTree(xy_m[of]).query_pairs(far_m, output_type="ndarray").T]
+    x_m, y_m = xy_m[:, 0], xy_m[:, 1]
+    away_x, away_y = x_m[one] - x_m[other], y_m[one] - y_m[other]
+    within = away_x**2 + away_y**2 <= (reach_m[one] + reach_m[other]) ** 2
+    return np.stack((one[within], other[within]), axis=1)
+
+
 def _first_of_each(key: IntArray, rank: FloatArray) -> IntArray:
     """The row of lowest rank of every key."""
     order = np.lexsort((rank, key))
     sorted_key = key[order]
-    return order[np.flatnonzero(np.diff(sorted_key, prepend=-1))]
+    is_new = np.ones(len(order), dtype=np.bool_)
+    is_new[1:] = sorted_key[1:] != sorted_key[:-1]
+    return order[is_new]
 
 
 def _following(scene: Scene, lines: Lines, leader: IntArray, leader_s_m: FloatArray) -> Pairs:
     follower = np.flatnonzero(leader >= 0)
     index = np.stack((leader[follower], follower), axis=1)
     away = leader_s_m[follower] - lines.s_m[follower]
-    gap = away - 0.5 * scene.size_m[index, 0].sum(axis=1)
+    length = scene.size_m[index, 0]
+    gap = away - 0.5 * (length[:, 0] + length[:, 1])
     far = np.full(len(follower), np.inf)
     turned = np.abs(wrap_angle(scene.yaw_rad[index[:, 0]] - scene.yaw_rad[index[:, 1]]))
     return Pairs(
@@ -142,6 +155,6 @@ def _following(scene: Scene, lines: Lines, leader: IntArray, leader_s_m: FloatAr
         room_m=np.stack((far, gap), axis=1),
         clear_m=np.stack((far, far), axis=1),
         to_point_m=np.stack((far, away), axis=1),
-        length_m=scene.size_m[index, 0],
+        length_m=length,
         angle_rad=turned,
     )

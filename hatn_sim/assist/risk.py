@@ -22,11 +22,10 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.pairs import FOLLOW, Pairs
+from hatn_sim.assist.pairs import CROSS, FOLLOW, MERGE, Pairs
 from hatn_sim.datatypes import (
     DT_S,
     BoolArray,
-    ConflictType,
     FloatArray,
     IntArray,
     Prediction,
@@ -113,7 +112,8 @@ def path_length_m(start_m: FloatArray, xy_m: FloatArray) -> FloatArray:
     step = np.empty(xy_m.shape)
     np.subtract(xy_m[..., 0, :], start_m, out=step[..., 0, :])
     np.subtract(xy_m[..., 1:, :], xy_m[..., :-1, :], out=step[..., 1:, :])
-    return np.cumsum(np.sqrt(np.einsum("...c,...c->...", step, step)), axis=-1)
+    step *= step
+    return np.cumsum(np.sqrt(step[..., 0] + step[..., 1]), axis=-1)
 
 
 def arrival_s(travelled_m: FloatArray, vehicle: IntArray, distance_m: FloatArray) -> FloatArray:
@@ -148,9 +148,7 @@ def time_to_collision_s(pairs: Pairs, speed_mps: FloatArray) -> FloatArray:
         np.isfinite(second), still + _over(gap - still * np.maximum(closing, 0.0), closing), np.inf
     )
     merged = np.minimum(crossing, np.where(gap - still * closing > 0.0, merging, second))
-    return np.select(
-        [pairs.type == FOLLOW, pairs.type == ConflictType.MERGE], [following, merged], crossing
-    )
+    return np.select([pairs.type == FOLLOW, pairs.type == MERGE], [following, merged], crossing)
 
 
 def deceleration_to_avoid_mps2(
@@ -168,7 +166,7 @@ def deceleration_to_avoid_mps2(
     brakes = np.maximum(closing, 0.0) ** 2 / (2.0 * np.maximum(gap, LEAST_GAP_M))
     follows = (pairs.type == FOLLOW)[:, None]
     give_way = np.where(follows, np.where(is_behind, 0.0, np.inf), give_way)
-    brakes_too = is_behind & (pairs.type != ConflictType.CROSS)[:, None]
+    brakes_too = is_behind & (pairs.type != CROSS)[:, None]
     return np.where(brakes_too, np.maximum(give_way, brakes[..., None]), give_way)
 
 
@@ -186,7 +184,7 @@ def required_deceleration_mps2(
     2 (v t - d) / t^2 while it still rolls then, v^2 / 2d where it has to stop before; 0 where it
     would come later anyhow (after Archer 2005, eq. 4.6; the limit is the arrival of the other).
     """
-    time = np.clip(time_s, 1e-3, 1e6)  # whoever never leaves, leaves late
+    time = np.minimum(np.maximum(time_s, 1e-3), 1e6)  # whoever never leaves, leaves late
     rolling = 2.0 * (speed_mps * time - distance_m) / time**2
     stopping = speed_mps**2 / (2.0 * np.maximum(distance_m, 0.1))
     needed = np.where(rolling * time > speed_mps, stopping, rolling)

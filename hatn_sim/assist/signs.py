@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import expit
 
 from hatn_sim.assist.moment import Moment
-from hatn_sim.assist.pairs import FOLLOW, Pairs
+from hatn_sim.assist.pairs import CROSS, FOLLOW, MERGE, Pairs
 from hatn_sim.assist.risk import (
     Times,
     deceleration_to_avoid_mps2,
@@ -29,7 +29,6 @@ from hatn_sim.assist.risk import (
 from hatn_sim.datatypes import (
     DT_S,
     HORIZON_FRAMES,
-    ConflictType,
     FloatArray,
     Gate,
     IntArray,
@@ -104,6 +103,7 @@ SIGNS: Final = (
     "speed of the slower and meets",
 )
 _FIRST_OF_FOLLOW: Final = 0
+_STOP_LINE, _GIVE_WAY_LINE = int(Gate.STOP_LINE), int(Gate.GIVE_WAY_LINE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,7 @@ def _signs(
         (
             together,
             most,
-            together.mean(axis=0),
+            together.sum(axis=0) / len(together),
             modes.meet() * meets,
             modes.spread() * meets,
             within_3_s,
@@ -242,8 +242,8 @@ def _signs(
             doubt * most,
             np.abs(chance - before).max(axis=1) * (known & was_known),
             known,
-            pairs.type == ConflictType.CROSS,
-            pairs.type == ConflictType.MERGE,
+            pairs.type == CROSS,
+            pairs.type == MERGE,
             np.where(follows, 0.0, np.cos(pairs.angle_rad)),
             follows,
             follows * needed[1],
@@ -307,7 +307,7 @@ def _to_line_m(moment: Moment, pairs: Pairs) -> FloatArray:
     line, s = np.maximum(lines.line[pairs.index], 0), lines.s_m[pairs.index]
     gate_s, kind = road.gate_s_m[line], road.gate_type[line]
     point = (s + pairs.to_point_m)[..., None]
-    own = (kind == Gate.STOP_LINE) | (kind == Gate.GIVE_WAY_LINE)
+    own = (kind == _STOP_LINE) | (kind == _GIVE_WAY_LINE)
     own &= (gate_s <= point) & (gate_s > point - BEFORE_CONFLICT_M)
     way_m = np.where(own, gate_s - s[..., None], np.inf).min(axis=-1, initial=np.inf)
     return np.asarray(way_m - 0.5 * pairs.length_m)
