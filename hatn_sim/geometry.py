@@ -127,8 +127,9 @@ def interpolate(
     """
     shape = base.shape + (1,) * (position.ndim - base.ndim)
     base, last = base.reshape(shape), count.reshape(shape) - 2
-    below = np.clip(np.floor(position).astype(np.int64), 0, last)
-    part = np.clip(position - below, 0.0, 1.0)
-    low, high = values[base + below], values[base + below + 1]
+    below = np.minimum(np.maximum(np.floor(position).astype(np.int64), 0), last)
+    part = np.minimum(np.maximum(position - below, 0.0), 1.0)
+    at = base + below
+    low, high = values.take(at, axis=0), values.take(at + 1, axis=0)
     part = part.reshape(part.shape + (1,) * (low.ndim - part.ndim))
     return low + part * (high - low)

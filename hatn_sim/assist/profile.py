@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, FloatArray, IntArray
+from hatn_sim.datatypes import DT_S, BoolArray, FloatArray, IntArray
 
 PROFILE_FRAMES: Final = 50
 """5 s: what a plan is driven for (METHOD section 7)."""
@@ -115,9 +115,10 @@ class Profiles:
 
         At the last speed beyond the last knot, and no sooner than the profile starts.
         """
-        own = self.travelled_m[:, None]
-        after = np.clip((own < distance_m[..., None]).sum(axis=-1), 1, KNOTS)
-        row = np.arange(len(own))[:, None]
+        reached = self.travelled_m[:, None, 1:].copy()
+        reached[..., -1] = np.inf  # what is beyond the last knot is reached after it
+        after = (reached < distance_m[..., None]).argmin(axis=-1) + 1
+        row = np.arange(len(reached))[:, None]
         high, low = self.travelled_m[row, after], self.travelled_m[row, after - 1]
         within = (distance_m - low) / np.maximum(high - low, 1e-6)
         left_m = np.maximum(distance_m - self.travelled_m[:, -1:], 0.0)
@@ -156,10 +157,11 @@ def drive(approach: Approach) -> Profiles:
     for knot, step_s in enumerate(_KNOT_STEP_S, start=1):
         now = speed, acceleration, travelled
         wanted = np.minimum(_keep_out(places, knot, *now), _by_road(approach, *now))
-        jerk = np.where(wanted < -COMFORT_BRAKING_MPS2, HARD_JERK_MPS3, COMFORT_JERK_MPS3)
+        is_hard = wanted < -COMFORT_BRAKING_MPS2
+        drop = np.where(is_hard, HARD_JERK_MPS3 * step_s, COMFORT_JERK_MPS3 * step_s)
         before = acceleration
         most = np.minimum(before + COMFORT_JERK_MPS3 * step_s, COMFORT_ACCELERATION_MPS2)
-        least = np.maximum(before - jerk * step_s, -HARD_BRAKING_MPS2)
+        least = np.maximum(before - drop, -HARD_BRAKING_MPS2)
         acceleration = np.minimum(np.maximum(wanted, least), most)
         after = speed + 0.5 * step_s * (before + acceleration)
         # It stops rather than reverse, and starts again from an acceleration of nothing.
@@ -175,11 +177,11 @@ def _by_road(
     approach: Approach, speed: FloatArray, acceleration: FloatArray, travelled: FloatArray
 ) -> FloatArray:
     # Where it will be when the difference has been made up for.
-    points = approach.allowed_mps.shape[1]
+    rows, points = approach.allowed_mps.shape
     ahead = np.minimum((travelled + EASE_S * speed) / ROAD_STEP_M, points - 1.001)
     low = ahead.astype(np.int64)
-    row = np.arange(len(speed))
-    before, after = approach.allowed_mps[row, low], approach.allowed_mps[row, low + 1]
+    at, allowed_mps = points * np.arange(rows) + low, approach.allowed_mps.ravel()
+    before, after = allowed_mps.take(at), allowed_mps.take(at + 1)
     allowed = before + (ahead - low) * (after - before)
     return np.maximum(_towards(allowed, _then_mps(speed, acceleration)), -SLOWING_MPS2)
 
@@ -208,7 +210,9 @@ class _Places:
     stop_m: FloatArray  # [G, L] where to stand at the latest
     square_there: FloatArray  # [G, L] of the speed of the place
     arrive_m: FloatArray  # [A] where to be as areas open
-    left_s: FloatArray  # [G, A] from the knot before until then
+    late_s: FloatArray  # [G, A] from the knot before until then, at least `EASE_S`
+    closed: BoolArray  # [G, A] at the knot before
+    sure: BoolArray  # [G, A] for longer than `SURE_S`
 
 
 def _places(approach: Approach) -> _Places:
@@ -216,6 +220,7 @@ def _places(approach: Approach) -> _Places:
     of_line = np.flatnonzero(np.isfinite(approach.stop_m))
     of_leader = np.arange(len(approach.speed_mps))
     area_m = approach.area_m[of_area, which]
+    left_s = approach.open_s[of_area, which] - approach.start_s - _KNOT_BEFORE_S[:, None]
     numbers = len(of_area), len(of_line), len(of_leader)
     braking, slack, short, ease = np.repeat(_RULES, numbers, axis=1)
     room_m = np.empty((KNOTS + 1, len(braking)))
@@ -234,7 +239,9 @@ def _places(approach: Approach) -> _Places:
         square_there=square_there,
         # As it opens the vehicle is a little before it: should it open late, that is what is left.
         arrive_m=area_m - AREA.short_m,
-        left_s=approach.open_s[of_area, which] - approach.start_s - _KNOT_BEFORE_S[:, None],
+        late_s=np.maximum(left_s, EASE_S),
+        closed=left_s > 0.0,
+        sure=left_s > SURE_S,
     )
 
 
@@ -261,28 +268,24 @@ def _keep_out(
     wanted = np.maximum(wanted, -np.maximum(braking, 1.2 * needed))
     wanted = np.where(needed > 0.8 * braking, np.minimum(wanted, -needed), wanted)
     areas, others = len(places.arrive_m), len(own) - len(speed)
-    if areas:
-        wanted[:areas] = _in_time(
-            places.left_s[knot], places.arrive_m - gone[:areas], v[:areas], wanted[:areas]
-        )
+    wanted[:areas] = _in_time(places, knot, v[:areas], gone[:areas], wanted[:areas])
     least = wanted[others:]
     np.minimum.at(least, own[:others], wanted[:others])
     return least
 
 
 def _in_time(
-    left_s: FloatArray, way_m: FloatArray, speed: FloatArray, stopping: FloatArray
+    places: _Places, knot: int, speed: FloatArray, travelled: FloatArray, stopping: FloatArray
 ) -> FloatArray:
-    """Acceleration [A] to have driven ways as areas open, in `left_s`, or to stop before them."""
-    late_s = np.maximum(left_s, EASE_S)
-    even = 2.0 * (way_m - speed * late_s) / late_s**2
+    """Acceleration [A] to arrive at areas as they open, or to stop before them."""
+    late_s, sure = places.late_s[knot], places.sure[knot]
+    even = 2.0 * (places.arrive_m - travelled - speed * late_s) / late_s**2
     # What the last centimetres would take is not worth more than comfort.
-    sure = left_s > SURE_S
     even = np.where(sure, even, np.maximum(even, -AREA.braking_mps2))
     # Standing still before it opens is to stop, not to arrive.
     stops = speed + even * late_s < 0.0
     wanted = np.where(stops, stopping, np.where(sure, np.minimum(even, stopping), even))
-    return np.where(left_s > 0.0, wanted, np.inf)
+    return np.where(places.closed[knot], wanted, np.inf)
 
 
 def _then_mps(speed: FloatArray, acceleration: FloatArray) -> FloatArray:
