@@ -21,7 +21,7 @@ from hatn_sim.hatn.adaptive import AdaptiveHatn
 from hatn_sim.hatn.predictor import Hatn
 from hatn_sim.hatn.sgn import Intention
 from hatn_sim.log import RunWriter
-from hatn_sim.loop import Adviser, advise, begin, observe
+from hatn_sim.loop import Adviser, advise, alerts_of, begin, moment_of, observe, suggestions_of
 from hatn_sim.perception import PerceptionState
 from hatn_sim.simulators.sumo import SumoSimulator
 
@@ -39,6 +39,8 @@ STAGES: Final = {
     "adaptation_1": "online adaptation, 1 step looked back",
     "adaptation_3": "online adaptation, 3 steps",
     "assist": "suggestions and alerts",
+    "suggestions": "  suggestions",
+    "alerts": "  alerts",
     "log": "log",
     "tick": "whole tick",
 }
@@ -191,7 +193,12 @@ def _time_steps(
                         *(adapt, adaptive, learnt[stage], state.memory),
                         *(graphs, intention, prediction),
                     )
+            before = state
             state, advice = watch.time("assist", advise, adviser, state, frame.scene, prediction)
+            # Once more, in pieces.
+            moment = moment_of(adviser, before, prediction)
+            watch.time("suggestions", suggestions_of, adviser, before, moment)
+            watch.time("alerts", alerts_of, adviser, before, moment)
             watch.time("log", writer.write, index, frame, {predictor.name: advice})
             watch.taken_ms["tick"].append(sum(watch.taken_ms[stage][-1] for stage in IN_A_TICK))
             vehicles.append(len(frame.scene.ids))

@@ -20,12 +20,14 @@ from hatn_sim.datatypes import (
     HORIZON_FRAMES,
     Advice,
     Agent,
+    Alert,
     Command,
     Frame,
     Prediction,
     Predictor,
     Scene,
     Simulator,
+    Suggestion,
 )
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
@@ -52,6 +54,7 @@ class Adviser:
     lines: LineSource = "inferred"
     egos: frozenset[str] | None = None  # who gets suggestions and alerts; None: all; empty: none
     settings: AssistSettings = field(default_factory=AssistSettings)
+    alerts: bool = True  # False: suggestions only, which spares about half of the time
 
     @property
     def advises(self) -> bool:
@@ -172,25 +175,48 @@ def check_command(command: Command, ego_id: str, scene: Scene) -> None:
 def advise(
     adviser: Adviser, state: AdviserState, scene: Scene, prediction: Prediction
 ) -> tuple[AdviserState, Advice]:
-    """What to make of a prediction: suggestions and alerts, where it has slots."""
+    """What to make of a prediction: suggestions and alerts (if asked for), where it has slots."""
     needed = prediction.graphs, prediction.slot_probability, prediction.lines
     if not adviser.advises or any(part is None for part in needed):
         return state, Advice(prediction, (), ())
-    perception, settings = state.perception, adviser.settings
-    earlier = state.recent.earlier(scene.time_s)
-    road = perception.road
-    moment = Moment(road, perception.seen, prediction, earlier, settings)
+    moment = moment_of(adviser, state, prediction)
+    state, suggestions = suggestions_of(adviser, state, moment)
+    if not adviser.alerts:
+        return state, Advice(prediction, suggestions, ())
+    state, alerts = alerts_of(adviser, state, moment)
+    return state, Advice(prediction, suggestions, alerts)
+
+
+def moment_of(adviser: Adviser, state: AdviserState, prediction: Prediction) -> Moment:
+    """All that suggestions and alerts go by."""
+    seen = state.perception.seen
+    earlier = state.recent.earlier(seen.scene.time_s)
+    return Moment(state.perception.road, seen, prediction, earlier, adviser.settings)
+
+
+def suggestions_of(
+    adviser: Adviser, state: AdviserState, moment: Moment
+) -> tuple[AdviserState, tuple[Suggestion, ...]]:
+    """One half of what `advise` does."""
     told, suggestions = suggest(
-        state.suggestions, road, scene, prediction, adviser.egos, moment.pairs
+        state.suggestions,
+        moment.road,
+        moment.scene,
+        moment.prediction,
+        adviser.egos,
+        moment.pairs,
     )
-    warned, alerts = alert(state.alerts, scene, hatn_rule(moment), settings, adviser.egos)
-    after = replace(
-        state,
-        suggestions=told,
-        alerts=warned,
-        recent=state.recent.with_newest(scene.time_s, prediction),
-    )
-    return after, Advice(prediction, suggestions, alerts)
+    return replace(state, suggestions=told), suggestions
+
+
+def alerts_of(
+    adviser: Adviser, state: AdviserState, moment: Moment
+) -> tuple[AdviserState, tuple[Alert, ...]]:
+    """The other half."""
+    scene = moment.scene
+    warned, alerts = alert(state.alerts, scene, hatn_rule(moment), adviser.settings, adviser.egos)
+    recent = state.recent.with_newest(scene.time_s, moment.prediction)
+    return replace(state, alerts=warned, recent=recent), alerts
 
 
 def warm_up(simulator: Simulator, frame: Frame, frames: int) -> Frame:
