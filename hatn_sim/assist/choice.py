@@ -119,6 +119,7 @@ class Likely:
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
     passed: BoolArray  # [R] was told to pass in this encounter
+    other_yields: FloatArray  # [R] how probably whoever is first lets the ego go
 
 
 def likely_slots(
@@ -149,7 +150,32 @@ def likely_slots(
     passed = np.array(
         [one is not None and any(action == "pass" for action, _ in one.said) for one in before]
     )
-    return Likely(chances, first, told, still_there, slot, speaks, passed | (told > 0))
+    return Likely(
+        chances,
+        first,
+        told,
+        still_there,
+        slot,
+        speaks,
+        passed | (told > 0),
+        _yields_to(graphs, slot_probability, row, first),
+    )
+
+
+def _yields_to(
+    graphs: SemanticGraphs, slot_probability: FloatArray, row: IntArray, first: IntArray
+) -> FloatArray:
+    """How probably the vehicles of nodes [R] yield, each to the ego of its graph [R].
+
+    0 where one has no graph of its own, or somebody else is the first of the others there.
+    """
+    row_of = np.full(len(graphs.ids), -1)
+    row_of[graphs.ego] = np.arange(len(graphs.ego))
+    its = row_of[graphs.rear[row, first]]
+    its_first = first_of_others(graphs.focus_mask[its], slot_probability[its])
+    meets = (its >= 0) & graphs.focus_mask[its, its_first]
+    meets &= graphs.rear[its, its_first] == graphs.ego[row]
+    return np.where(meets, slot_probability[its, 0], 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,10 +328,33 @@ def choose(
         ]
     )
     waits |= contradicts & (goes | safe)
-    waits |= stuck & wants_pass & ~goes
+    own_yield = likely.chances.of[:, 0]
+    waits |= stuck & ~goes & (wants_pass | (own_yield < SURE))
+    # Nobody is told to yield to one who is likelier to wait for him ...
+    defers = (likely.other_yields > own_yield) & (options.likely_margin_s > 0.0)
+    waits |= ~goes & ~holds & wants_pass & defers
+    # ... or in whose way he is already.
+    begun = in_the_way(outlook, row)[np.arange(len(row)), likely.first]
+    waits |= (told < 0) & ~goes & begun
     # A yield is not begun against what is surely going to happen ...
     waits |= (told < 0) & wants_pass & sure & ~goes & (options.likely_margin_s > 0.0)
     # ... nor one that asks for too much where the ego is likely to be gone in time.
     waits |= (told < 0) & ~goes & ~gentle & (options.likely_margin_s > 0.0)
     speaks = (likely.speaks | holds) & ~waits
+    speaks &= ~_less_likely_of_two(speaks & ~goes, graphs.ego[row], other, own_yield)
     return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
+
+
+def _less_likely_of_two(
+    yields: BoolArray, ego: IntArray, other: IntArray, chance: FloatArray
+) -> BoolArray:
+    """Of each two who are told to yield to one another, the one [R] less likely to."""
+    if not len(ego):
+        return yields
+    count = int(max(ego.max(), other.max())) + 1
+    lets_go, chance_of = np.full(count, -1), np.zeros(count)
+    lets_go[ego[yields]] = other[yields]
+    chance_of[ego] = chance
+    mutual = yields & (lets_go[other] == ego)
+    its = chance_of[other]
+    return np.asarray(mutual & ((chance < its) | ((chance == its) & (ego < other))))
