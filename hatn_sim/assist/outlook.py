@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.pairs import LEAST_ANGLE_RAD, Pairs, area_m, at_conflicts
+from hatn_sim.assist.areas import areas_m
+from hatn_sim.assist.pairs import Pairs, at_conflicts
 from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
@@ -37,7 +38,6 @@ from hatn_sim.datatypes import (
     Scene,
     SemanticGraphs,
 )
-from hatn_sim.geometry import wrap_angle
 from hatn_sim.graph import AHEAD_AT_M, CONTEXT
 from hatn_sim.road import Road
 from hatn_sim.speed_profile import LATERAL_MPS2
@@ -89,9 +89,9 @@ def look_ahead(
     index = np.stack((graphs.ego[e], graphs.rear[e, m]), axis=1)
     to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
     point_s = lines.s_m[index] + to_point
-    half, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
-    near, far = _cut_m(road, scene, index, lines.line[index], point_s)
-    room, clear = to_point - half - near, to_point + half + far
+    kind = graphs.conflict_type[e, m]
+    before, beyond = areas_m(road, scene, index, lines.line[index], point_s, kind)
+    room, clear = to_point - before, to_point + beyond
     ego, other = index.T
 
     def by_node(of_pair: FloatArray) -> FloatArray:
@@ -114,37 +114,6 @@ def look_ahead(
         taken_m=taken_m,
         taken_s=taken_s,
     )
-
-
-def _cut_m(
-    road: Road, scene: Scene, index: IntArray, line: IntArray, point_s_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """How much longer areas [Q, 2] are, at their near and at their far end, as the other turns.
-
-    A body of length l is a chord of its way: in a bend it is up to l^2 k / 8 inside of the line,
-    where k is the curvature. Areas are those of straight strips: that the strip bends takes about
-    as much again, from whoever comes from that side.
-    """
-    length = scene.size_m[index, 0]
-    yaw = np.stack(
-        [
-            road.line_yaw_rad(line[:, k], point_s_m[:, k, None] + length[:, k, None] * _ALONG)
-            for k in (0, 1)
-        ],
-        axis=1,
-    )
-    turned = wrap_angle(yaw[..., 2:] - yaw[..., :-2])  # each while one length is driven
-    sharpest = np.abs(turned).argmax(axis=-1)[..., None]
-    inside = 0.25 * length * np.take_along_axis(turned, sharpest, axis=-1)[..., 0]  # left positive
-    apart = wrap_angle(yaw[:, 1, 2] - yaw[:, 0, 2])
-    slant = np.maximum(np.abs(np.sin(apart)), np.sin(LEAST_ANGLE_RAD))
-    # The first comes from the left of the second where it heads to the right of it.
-    from_left = np.stack((np.sign(apart), -np.sign(apart)), axis=1)
-    towards = inside[:, ::-1] * from_left / slant[:, None]
-    return np.maximum(towards, 0.0), np.maximum(-towards, 0.0)
-
-
-_ALONG: Final = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
 def _taken(
