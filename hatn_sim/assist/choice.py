@@ -118,7 +118,8 @@ class Likely:
     still_there: BoolArray  # [R] whom it was about
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
-    passed: BoolArray  # [R] was told to pass in this encounter
+    keeps: BoolArray  # [R] it is the slot told before
+    begins: BoolArray  # [R] it is a yield not told before
     other_yields: FloatArray  # [R] how probably whoever is first lets the ego go
 
 
@@ -147,9 +148,6 @@ def likely_slots(
     speed = scene.speed_mps[graphs.ego[row]]
     near = graphs.ego_to_conflict_m[row, 0] <= np.maximum(NEAR_S * speed, NEAR_M)
     speaks = stands | ((told >= 0) | near) & (chances.margin(slot) >= SPEAK_MARGIN)
-    passed = np.array(
-        [one is not None and any(action == "pass" for action, _ in one.said) for one in before]
-    )
     return Likely(
         chances,
         first,
@@ -157,7 +155,8 @@ def likely_slots(
         still_there,
         slot,
         speaks,
-        passed | (told > 0),
+        slot == told,
+        (told != 0) & (slot == 0) & speaks,
         _yields_to(graphs, slot_probability, row, first),
     )
 
@@ -203,7 +202,7 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     has_begun = ~still_ahead.any(axis=1)
     room_m = np.where(group, outlook.room_m[row], np.inf).min(axis=1)
     speed = outlook.scene.speed_mps[graphs.ego[row]]
-    asks = (likely.slot > 0) | likely.passed | has_begun | ~_stops(speed, room_m)
+    asks = (likely.slot > 0) | likely.begins | has_begun | ~_stops(speed, room_m)
     driven_m, then_mps = _after_reacting(outlook, graphs.ego[row])
     asks |= (likely.told != 0) & ~_stops(then_mps, room_m - driven_m)
     passing = np.flatnonzero(asks)
@@ -291,15 +290,16 @@ def choose(
     since = [None if told is None else told.doubted_s for told in before]
     since_s = np.array([now_s if one is None else one for one in since])
     told = likely.told
-    safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
+    keeps = (told > 0) & likely.keeps
+    safe = options.margin_s >= np.where(keeps, KEEP_MARGIN_S, PASS_MARGIN_S)
     # Of two who wait for each other, nobody can tell who will go.
     graphs, speed = outlook.graphs, outlook.scene.speed_mps
     fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
     stuck = fastest < STANDING_MPS
     sure = ~stuck & (likely.chances.of[np.arange(len(row)), likely.slot] >= SURE)
-    safe |= likely.passed & options.can_wait
-    sure_margin_s = np.where(likely.passed, SURE_KEEP_S, SURE_MARGIN_S)
-    safe |= sure & (options.likely_margin_s >= sure_margin_s)
+    safe |= keeps & options.can_wait
+    sure_margin_s = np.where(keeps, SURE_KEEP_S, SURE_MARGIN_S)
+    safe |= sure & (keeps | ~options.can_wait) & (options.likely_margin_s >= sure_margin_s)
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     gentle = options.stays_out & (options.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
@@ -308,7 +308,7 @@ def choose(
     passes = np.where(wants_pass, may_pass, ~options.stays_out)
     slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
-    waits = wants_pass & (told < 0) & ~may_pass & options.can_wait
+    waits = wants_pass & (told != 0) & ~keeps & ~may_pass & options.can_wait
     holds = (
         (told >= 0) & likely.still_there & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
     )
@@ -336,10 +336,12 @@ def choose(
     # ... or in whose way he is already.
     begun = in_the_way(outlook, row)[np.arange(len(row)), likely.first]
     waits |= (told < 0) & ~goes & begun
-    # A yield is not begun against what is surely going to happen ...
-    waits |= (told < 0) & wants_pass & sure & ~goes & (options.likely_margin_s > 0.0)
-    # ... nor one that asks for too much where the ego is likely to be gone in time.
-    waits |= (told < 0) & ~goes & ~gentle & (options.likely_margin_s > 0.0)
+    # A yield is not begun against what the driver is likely to do: of danger, alerts warn ...
+    waits |= (told < 0) & ~goes & wants_pass
+    # ... nor where it asks for too much, unless the ego is not likely to be gone in time.
+    waits |= (told != 0) & ~goes & ~gentle & (wants_pass | (options.likely_margin_s > 0.0))
+    # ... nor where he might as well pass.
+    waits |= likely.begins & ~goes & (own_yield < SURE) & (options.likely_margin_s >= SURE_MARGIN_S)
     speaks = (likely.speaks | holds) & ~waits
     speaks &= ~_less_likely_of_two(speaks & ~goes, graphs.ego[row], other, own_yield)
     return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)

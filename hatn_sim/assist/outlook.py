@@ -60,6 +60,7 @@ class Outlook:
     scene: Scene
     graphs: SemanticGraphs
     travelled_m: FloatArray  # [N, F] on the most probable predicted path
+    slowest_m: FloatArray  # [N, F] the least that they may plausibly travel
     room_m: FloatArray  # [E, M] from the ego's front bumper to the area
     clear_m: FloatArray  # [E, M] the ego's way until its rear bumper is out of the area
     other_room_m: FloatArray  # [E, M] from the other's front bumper to the area
@@ -84,7 +85,7 @@ def look_ahead(
     path = prediction.xy_m[np.arange(len(best)), best]
     whole = np.concatenate((scene.xy_m[:, None], path), axis=1)
     travelled = np.cumsum(np.linalg.norm(np.diff(whole, axis=1), axis=2), axis=1)
-    fastest = fastest_travel_m(prediction, travelled)
+    fastest, slowest = plausible_travel_m(prediction, travelled)
     e, m = np.nonzero(graphs.node_mask & (np.arange(graphs.rear.shape[1]) > 0))
     index = np.stack((graphs.ego[e], graphs.rear[e, m]), axis=1)
     to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
@@ -104,6 +105,7 @@ def look_ahead(
         scene=scene,
         graphs=graphs,
         travelled_m=travelled,
+        slowest_m=slowest,
         room_m=by_node(room[:, 0]),
         clear_m=by_node(clear[:, 0]),
         other_room_m=by_node(room[:, 1]),
@@ -138,11 +140,13 @@ def _taken(
     return nearest[graphs.ego], until[graphs.ego]
 
 
-def fastest_travel_m(prediction: Prediction, travelled_m: FloatArray) -> FloatArray:
-    """How far vehicles may plausibly get [N, F].
+def plausible_travel_m(
+    prediction: Prediction, travelled_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far vehicles may plausibly get, at most and at least [N, F].
 
-    The predicted path length, and from some time on more of it, as of one who decides then to
-    accelerate: so that it ends at the farthest plausible goal.
+    The predicted path length, and from some time on more or less of it, as of one who decides then
+    to accelerate or to brake: so that it ends at the farthest or nearest plausible goal.
     """
     weight, mean, std = (
         prediction.goal_weight,
@@ -150,14 +154,23 @@ def fastest_travel_m(prediction: Prediction, travelled_m: FloatArray) -> FloatAr
         prediction.goal_std_m,
     )
     if weight is None or mean is None or std is None:
-        return travelled_m
-    far = np.where(weight >= PLAUSIBLE_WEIGHT, mean + PLAUSIBLE_STD * std, 0.0).max(axis=1)
-    more = np.maximum(far - travelled_m[:, -1], 0.0)
+        return travelled_m, travelled_m
+    end_m, counts, reach = travelled_m[:, -1], weight >= PLAUSIBLE_WEIGHT, PLAUSIBLE_STD * std
+    far = np.where(counts, mean + reach, 0.0).max(axis=1)
+    near = np.maximum(np.where(counts, mean - reach, np.inf).min(axis=1), 0.0)
+    more = _deciding_m(np.maximum(far - end_m, 0.0), COMFORT_ACCELERATION_MPS2)
+    less = _deciding_m(np.maximum(end_m - near, 0.0), COMFORT_BRAKING_MPS2)
+    slowest = np.maximum.accumulate(np.maximum(travelled_m - less, 0.0), axis=1)
+    return travelled_m + more, slowest
+
+
+def _deciding_m(difference_m: FloatArray, acceleration_mps2: float) -> FloatArray:
+    """What it adds to the way [N, F] to accelerate so late that it comes to `difference_m` [N]."""
     horizon_s = HORIZON_FRAMES * DT_S
-    gaining_s = np.minimum(np.sqrt(2.0 * more / COMFORT_ACCELERATION_MPS2), horizon_s)
-    since_s = DT_S * np.arange(1, HORIZON_FRAMES + 1) - (horizon_s - gaining_s[:, None])
-    share = np.maximum(since_s, 0.0) / np.maximum(gaining_s, DT_S)[:, None]
-    return np.asarray(travelled_m + more[:, None] * share**2)
+    changing_s = np.minimum(np.sqrt(2.0 * difference_m / acceleration_mps2), horizon_s)
+    since_s = DT_S * np.arange(1, HORIZON_FRAMES + 1) - (horizon_s - changing_s[:, None])
+    share = np.maximum(since_s, 0.0) / np.maximum(changing_s, DT_S)[:, None]
+    return np.asarray(difference_m[:, None] * share**2)
 
 
 def approaches(
@@ -271,14 +284,15 @@ def _leaders(
     """
     graphs, scene = outlook.graphs, outlook.scene
     ego, leader = graphs.ego[row], graphs.leader[row]
-    # Nobody knows what they do beyond the horizon: the ego is to manage if they slow down.
-    travel, speed = travel_at(outlook.travelled_m, time_s, SLOWING_MPS2)
+    # The ego is to manage if they slow down, beyond the horizon or, as far as is plausible, before.
+    slow_m, slow_mps = travel_at(outlook.slowest_m, time_s, SLOWING_MPS2)
     there = (leader >= 0)[:, None]
-    ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
-    ahead_mps = np.where(there, speed[leader], 0.0)
+    ahead = np.where(there, graphs.leader_gap_m[row][:, None] + slow_m[leader], np.inf)
+    ahead_mps = np.where(there, slow_mps[leader], 0.0)
     merges = first & (graphs.conflict_type[row] == ConflictType.MERGE)
     if not merges.any():
         return ahead, ahead_mps
+    travel, speed = travel_at(outlook.travelled_m, time_s, SLOWING_MPS2)
     other = np.maximum(graphs.rear[row], 0)
     half_m = 0.5 * (scene.size_m[ego, 0][:, None] + scene.size_m[other, 0])
     before_m = graphs.ego_to_conflict_m[row] - graphs.rear_to_conflict_m[row] - half_m
