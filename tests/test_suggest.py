@@ -206,7 +206,7 @@ def test_nothing_is_said_to_two_who_wait_for_each_other(speed_mps: float, expect
 
 
 @pytest.mark.parametrize(("chance", "passes"), [(0.9, False), (0.98, True)])
-def test_only_a_sure_pass_is_advised_where_somebody_might_plausibly_hurry(
+def test_only_a_sure_pass_stays_advised_where_somebody_might_plausibly_hurry(
     chance: float, passes: bool
 ) -> None:
     # The ego is out after 33.5 m, 3 s. The other comes after 21.5 m at 3 m/s, 7 s; one in five
@@ -216,8 +216,10 @@ def test_only_a_sure_pass_is_advised_where_somebody_might_plausibly_hurry(
     goals = np.tile([[0.8, 0.2]], (2, 1)), np.tile([[9.0, 24.0]], (2, 1)), np.full((2, 2), 0.1)
     weight, mean, std = goals
     prediction = replace(prediction, goal_weight=weight, goal_mean_m=mean, goal_std_m=std)
-    _, (found,) = suggest(SuggestionState(), ROAD, scene, prediction, frozenset({"ego"}))
-    assert (found.action == "pass") == passes
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
+    for before, expected in ((told, passes), (SuggestionState(), False)):
+        _, (found,) = suggest(before, ROAD, scene, prediction, frozenset({"ego"}))
+        assert (found.action == "pass") == expected
 
 
 def test_a_yield_that_comes_too_late_for_a_driver_to_react_is_not_begun() -> None:

@@ -44,10 +44,12 @@ PASS_MARGIN_S: Final = 0.3
 KEEP_MARGIN_S: Final = 0.0
 """... and stays advised while it is out before, or could still be given up."""
 SURE: Final = 0.95
-SURE_MARGIN_S: Final = 1.0
-"""A pass as probable as this is advised where the predicted entries leave so much time ..."""
 SURE_KEEP_S: Final = 0.3
-"""... and stays advised while they leave this, whoever might plausibly come sooner."""
+"""A pass as probable as this stays advised where the predicted entries leave so much time, whoever
+might plausibly come sooner."""
+FREE_MARGIN_S: Final = 1.0
+"""Where the predicted entries leave so much time for a pass, only a yield that is sure is advised.
+"""
 WAIT_KNOT: Final = 4
 """Whoever can still stop in comfort after so many knots of a pass, a second, need not give it up
 yet."""
@@ -118,7 +120,6 @@ class Likely:
     still_there: BoolArray  # [R] whom it was about
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
-    keeps: BoolArray  # [R] it is the slot told before
     begins: BoolArray  # [R] it is a yield not told before
     other_yields: FloatArray  # [R] how probably whoever is first lets the ego go
 
@@ -155,7 +156,6 @@ def likely_slots(
         still_there,
         slot,
         speaks,
-        slot == told,
         (told != 0) & (slot == 0) & speaks,
         _yields_to(graphs, slot_probability, row, first),
     )
@@ -282,33 +282,26 @@ def choose(
 ) -> Chosen:
     """The likely slot, if it is safe; once told, a slot stays for as long as it can.
 
-    Nothing is said of a pass that is not safe yet, while there is time to wait and see. Advice is
-    taken back by silence, not by its opposite: but for a pass that is not safe any more.
+    Advice begins only where it is what the driver is likely to do, and safe or at least within
+    comfort: of danger, alerts warn. It is taken back by silence, not by its opposite: but for a
+    pass that is not safe any more, while a yield still is within comfort.
     """
     was_feasible = np.array([told is None or told.feasible for told in before])
     now_s = outlook.scene.time_s
     since = [None if told is None else told.doubted_s for told in before]
     since_s = np.array([now_s if one is None else one for one in since])
-    told = likely.told
-    keeps = (told > 0) & likely.keeps
-    safe = options.margin_s >= np.where(keeps, KEEP_MARGIN_S, PASS_MARGIN_S)
-    # Of two who wait for each other, nobody can tell who will go.
-    graphs, speed = outlook.graphs, outlook.scene.speed_mps
-    fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
-    stuck = fastest < STANDING_MPS
-    sure = ~stuck & (likely.chances.of[np.arange(len(row)), likely.slot] >= SURE)
-    safe |= keeps & options.can_wait
-    sure_margin_s = np.where(keeps, SURE_KEEP_S, SURE_MARGIN_S)
-    safe |= sure & (keeps | ~options.can_wait) & (options.likely_margin_s >= sure_margin_s)
+    told, wants_pass = likely.told, likely.slot > 0
+    keeps = wants_pass & (likely.slot == told)
+    safe = options.margin_s >= np.where(told > 0, KEEP_MARGIN_S, PASS_MARGIN_S)
+    sure = likely.chances.of[np.arange(len(row)), likely.slot] >= SURE
+    safe |= keeps & (options.can_wait | (sure & (options.likely_margin_s >= SURE_KEEP_S)))
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     gentle = options.stays_out & (options.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
     may_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
-    wants_pass = likely.slot > 0
     passes = np.where(wants_pass, may_pass, ~options.stays_out)
     slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
-    waits = wants_pass & (told != 0) & ~keeps & ~may_pass & options.can_wait
     holds = (
         (told >= 0) & likely.still_there & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
     )
@@ -317,34 +310,41 @@ def choose(
     doubted = tuple(
         one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
     )
-    goes = slot > 0
-    other = graphs.rear[row, np.where(goes, slot, likely.first)]
-    opposite = ["yield" if one else "pass" for one in goes.tolist()]
-    names_of = [outlook.scene.ids[v] for v in other.tolist()]
-    contradicts = np.array(
-        [
-            told is not None and pair in told.said
-            for told, pair in zip(before, zip(opposite, names_of, strict=True), strict=True)
-        ]
-    )
-    waits |= contradicts & (goes | safe)
+    goes, begins = slot > 0, slot != told
+    waits = begins & goes & ~safe & options.stays_out
+    waits |= begins & ~goes & wants_pass & ~(keeps & gentle)
+    # A yield that asks for too much begins only where the ego is not likely to be gone in time ...
+    waits |= begins & ~goes & ~gentle & (options.likely_margin_s > 0.0)
+    # ... and none where it might as well pass, ...
     own_yield = likely.chances.of[:, 0]
-    waits |= stuck & ~goes & (wants_pass | (own_yield < SURE))
-    # Nobody is told to yield to one who is likelier to wait for him ...
+    waits |= begins & ~goes & (own_yield < SURE) & (options.likely_margin_s >= FREE_MARGIN_S)
+    # ... or is in the other's way already.
+    waits |= begins & ~goes & in_the_way(outlook, row)[np.arange(len(row)), likely.first]
+    # Nobody is told to yield to one who is likelier to wait for him.
     defers = (likely.other_yields > own_yield) & (options.likely_margin_s > 0.0)
     waits |= ~goes & ~holds & wants_pass & defers
-    # ... or in whose way he is already.
-    begun = in_the_way(outlook, row)[np.arange(len(row)), likely.first]
-    waits |= (told < 0) & ~goes & begun
-    # A yield is not begun against what the driver is likely to do: of danger, alerts warn ...
-    waits |= (told < 0) & ~goes & wants_pass
-    # ... nor where it asks for too much, unless the ego is not likely to be gone in time.
-    waits |= (told != 0) & ~goes & ~gentle & (wants_pass | (options.likely_margin_s > 0.0))
-    # ... nor where he might as well pass.
-    waits |= likely.begins & ~goes & (own_yield < SURE) & (options.likely_margin_s >= SURE_MARGIN_S)
+    # Of two who wait for each other, nobody can tell who will go.
+    graphs, speed = outlook.graphs, outlook.scene.speed_mps
+    fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
+    waits |= (fastest < STANDING_MPS) & ~goes & (wants_pass | (own_yield < SURE))
+    other = graphs.rear[row, np.where(goes, slot, likely.first)]
+    names = [outlook.scene.ids[v] for v in other.tolist()]
+    waits |= _contradicts(before, goes, names) & (goes | safe)
     speaks = (likely.speaks | holds) & ~waits
     speaks &= ~_less_likely_of_two(speaks & ~goes, graphs.ego[row], other, own_yield)
     return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
+
+
+def _contradicts(before: Sequence[Told | None], goes: BoolArray, names: list[str]) -> BoolArray:
+    """Whether egos [R] have been told the opposite about the same other vehicle."""
+    opposite = ["yield" if one else "pass" for one in goes.tolist()]
+    return np.array(
+        [
+            told is not None and pair in told.said
+            for told, pair in zip(before, zip(opposite, names, strict=True), strict=True)
+        ],
+        dtype=np.bool_,
+    )
 
 
 def _less_likely_of_two(
