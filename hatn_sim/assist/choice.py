@@ -1,4 +1,4 @@
-"""Which slot an ego is advised: the likely one, unless it is unsafe or asks for more than comfort.
+"""Which slot an ego is advised: the likely one, where it is safe and within comfort; else silence.
 
 The probabilities say what people would do. Unsafe is a pass where somebody may plausibly enter the
 area before the ego is out of it, and a yield that comes too late to stay out.
@@ -46,10 +46,7 @@ KEEP_MARGIN_S: Final = 0.0
 SURE: Final = 0.95
 SURE_KEEP_S: Final = 0.3
 """A pass as probable as this stays advised where the predicted entries leave so much time, whoever
-might plausibly come sooner."""
-FREE_MARGIN_S: Final = 1.0
-"""Where the predicted entries leave so much time for a pass, only a yield that is sure is advised.
-"""
+might plausibly come sooner. Where there is time for a pass, a yield begins only if as probable."""
 WAIT_KNOT: Final = 4
 """Whoever can still stop in comfort after so many knots of a pass, a second, need not give it up
 yet."""
@@ -313,16 +310,15 @@ def choose(
     goes, begins = slot > 0, slot != told
     waits = begins & goes & ~safe & options.stays_out
     waits |= begins & ~goes & wants_pass & ~(keeps & gentle)
-    # A yield that asks for too much begins only where the ego is not likely to be gone in time ...
-    waits |= begins & ~goes & ~gentle & (options.likely_margin_s > 0.0)
-    # ... and none where it might as well pass, ...
+    # A yield does not begin where it asks for more than comfort, or the ego is likely to be gone in
+    # time and might do otherwise, ...
     own_yield = likely.chances.of[:, 0]
-    waits |= begins & ~goes & (own_yield < SURE) & (options.likely_margin_s >= FREE_MARGIN_S)
-    # ... or is in the other's way already.
+    free = options.likely_margin_s > 0.0
+    waits |= begins & ~goes & (~gentle | (free & (own_yield < SURE)))
+    # ... nor where it is in the other's way already.
     waits |= begins & ~goes & in_the_way(outlook, row)[np.arange(len(row)), likely.first]
     # Nobody is told to yield to one who is likelier to wait for him.
-    defers = (likely.other_yields > own_yield) & (options.likely_margin_s > 0.0)
-    waits |= ~goes & ~holds & wants_pass & defers
+    waits |= ~goes & ~holds & wants_pass & free & (likely.other_yields > own_yield)
     # Of two who wait for each other, nobody can tell who will go.
     graphs, speed = outlook.graphs, outlook.scene.speed_mps
     fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
