@@ -4,7 +4,7 @@ The closed form of `pairs.area_m` is of straight lines. Where lines bend, as all
 a chord of its way and comes into the other's strip earlier, or leaves it later. At a crossing it is
 driven along its line past the strip, which is taken to be the arc that the other's line is there.
 
-Letters: Q pairs of vehicles, R = 2 Q of them both ways round, X samples of a way.
+Letters: Q pairs of vehicles, R of their ends, X samples of a way.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ def areas_m(
     before, beyond = np.empty(index.shape), np.empty(index.shape)
     crosses = kind == ConflictType.CROSS
     q = np.flatnonzero(crosses)
-    own = index[q], line[q], point_s_m[q]
-    half_length = 0.5 * scene.size_m[own[0], 0]
-    nose, tail = swept_areas_m(road, scene, *own)
-    before[q], beyond[q] = half_length + nose, half_length + tail
+    if len(q):
+        half_length = 0.5 * scene.size_m[index[q], 0]
+        nose, tail = swept_areas_m(road, scene, index[q], line[q], point_s_m[q])
+        before[q], beyond[q] = half_length + nose, half_length + tail
     q = np.flatnonzero(~crosses)
-    own = index[q], line[q], point_s_m[q]
-    half, _ = area_m(road, scene, *own, kind[q])
-    near, far = _cut_m(road, scene, *own)
-    before[q], beyond[q] = half + near, half + far
+    if len(q):
+        half, _ = area_m(road, scene, index[q], line[q], point_s_m[q], kind[q])
+        near, far = _cut_m(road, scene, index[q], line[q], point_s_m[q])
+        before[q], beyond[q] = half + near, half + far
     return before, beyond
 
 
@@ -56,16 +56,15 @@ def swept_areas_m(
     `index` and `line` [Q, 2] are the vehicles and their lines, which cross at `point_s_m` [Q, 2].
     At most the last of `_WAY_M`.
     """
-    count = len(index)
-    # Both ways round, one below the other: [2 Q].
-    own, other = (np.concatenate((index[:, k], index[:, 1 - k])) for k in (0, 1))
-    own_line, own_s = line.T.ravel(), point_s_m.T.ravel()
-    other_line, other_s = line[:, ::-1].T.ravel(), point_s_m[:, ::-1].T.ravel()
-    strip = _strips(road, other_line, other_s, scene.size_m[other])
-    length, width = scene.size_m[own].T
-    before = _reach_m(road, strip, own_line, own_s, -1.0, length, width)
-    beyond = _reach_m(road, strip, own_line, own_s, 1.0, length, width)
-    return before.reshape(2, count).T, beyond.reshape(2, count).T
+    # Both ways round, and both ends: [4 Q], noses first.
+    both = np.arange(4) % 2
+    own, other = (np.concatenate(index.T[k]) for k in (both, 1 - both))
+    own_line, own_s = (np.concatenate(of.T[both]) for of in (line, point_s_m))
+    other_line, other_s = (np.concatenate(of.T[1 - both]) for of in (line, point_s_m))
+    strips = _strips(road, other_line, other_s, scene.size_m[other])
+    sign = np.repeat([-1.0, -1.0, 1.0, 1.0], len(index))
+    reach_m = _reach_m(road, strips, own_line, own_s, sign, scene.size_m[own]).reshape(4, -1)
+    return reach_m[:2].T, reach_m[2:].T
 
 
 class _Strips:
@@ -106,16 +105,16 @@ def _reach_m(
     strips: _Strips,
     line: IntArray,
     point_s_m: FloatArray,
-    sign: float,
-    length_m: FloatArray,
-    width_m: FloatArray,
+    sign: FloatArray,
+    size_m: FloatArray,
 ) -> FloatArray:
-    """How far before (-1) or beyond (1) the point the nose or tail is at the strip's side [R]."""
-    end_s = point_s_m[:, None] + sign * _WAY_M
+    """How far before (-1) or beyond (1) the point [R] noses or tails are at the strips' sides."""
+    end_s = point_s_m[:, None] + sign[:, None] * _WAY_M
     end = road.locate(line, end_s, np.zeros(end_s.shape))
     # The body is as its line is in the middle of it.
-    yaw = road.line_yaw_rad(line, end_s + sign * 0.5 * length_m[:, None])
-    aside = 0.5 * width_m[:, None, None] * np.stack((-np.sin(yaw), np.cos(yaw)), axis=-1)
+    yaw = road.line_yaw_rad(line, end_s + (0.5 * sign * size_m[:, 0])[:, None])
+    half_width = 0.5 * size_m[:, 1, None, None]
+    aside = half_width * np.stack((-np.sin(yaw), np.cos(yaw)), axis=-1)
     one, two = strips.beside_m(end + aside), strips.beside_m(end - aside)
     outside = np.maximum(
         np.minimum(one, two) - strips.left_m[:, None],
