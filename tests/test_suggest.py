@@ -101,12 +101,18 @@ NEAR = {"ego": (0.0, -14.0, NORTH, 10.0), "other": (-10.0, 0.0, 0.0, 8.0)}
 """The ego is out after 17.5 m, the other in after 6.5 m: 0.8 s."""
 
 
-def test_what_people_do_is_not_advised_where_it_is_unsafe() -> None:
+def test_what_people_do_is_not_advised_where_it_is_unsafe_nor_its_opposite() -> None:
     _, told = advise(NEAR, [0.02, 0.98])
+    assert (told.action, told.profile_mps) == ("abstain", ())
+
+
+def test_a_yield_told_before_stands_though_it_takes_hard_braking() -> None:
+    before = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    _, told = advise(NEAR, [0.9, 0.1], before)
     # It takes 10^2 / (2 * 10.5) = 4.8 m/s^2 to stay out.
     assert (told.action, told.slot_id, told.feasible) == ("yield", "other", False)
     assert told.text == "Brake hard: yield to the silver car from the left"
-    assert told.probability == pytest.approx(0.02) and told.margin == pytest.approx(-0.96)
+    assert told.probability == pytest.approx(0.9) and told.margin == pytest.approx(0.8)
     at_m = 0.1 * np.cumsum(told.profile_mps)
     assert at_m[: int(1.7 / 0.1)].max() < 10.75
 
@@ -138,7 +144,7 @@ def test_a_safe_pass_is_taken_back_by_silence_after_half_a_second_of_doubt(frame
 
 
 def test_a_yield_is_never_followed_by_a_pass_before_the_same_vehicle() -> None:
-    state, found = advise(OPEN, [0.9, 0.1])
+    state, found = advise(OPEN, [0.97, 0.03])
     assert found.action == "yield"
     for time_s in (1.0, 1.5, 2.0, 60.0):
         scene, prediction = moment(OPEN, {"ego": [0.1, 0.9]})
@@ -154,9 +160,33 @@ def test_advice_stands_while_another_slot_is_a_little_better() -> None:
     assert advise(OPEN, [0.75, 0.25], told, 20)[1].action == "abstain"
 
 
-def test_an_unsafe_pass_is_taken_back_at_once() -> None:
+GENTLE = {"ego": (0.0, -30.0, NORTH, 10.0), "other": (-21.0, 0.0, 0.0, 8.0)}
+"""After a second of reacting the ego has 16.5 m to stop in, which takes 3.03 m/s^2; the other is in
+its way from 2.2 s to 3.6 s on."""
+
+
+@pytest.mark.parametrize(("vehicles", "expected"), [(NEAR, "abstain"), (GENTLE, "yield")])
+def test_an_unsafe_pass_is_taken_back_at_once(
+    vehicles: dict[str, tuple[float, float, float, float]], expected: str
+) -> None:
+    # By a yield where a driver who has to react can still brake for it in comfort.
     told = SuggestionState({"ego": Told("other", "other", "pass", True)})
-    assert advise(NEAR, [0.1, 0.9], told)[1].action == "yield"
+    assert advise(vehicles, [0.6, 0.4], told)[1].action == expected
+
+
+def test_a_yield_does_not_begin_where_the_ego_might_as_well_pass() -> None:
+    assert advise(OPEN, [0.9, 0.1])[1].action == "abstain"
+    assert advise(OPEN, [0.97, 0.03])[1].action == "yield"
+
+
+def test_of_two_told_to_yield_to_one_another_the_likelier_one_is() -> None:
+    for chances, expected in (
+        ({"ego": [0.97, 0.03], "other": [0.96, 0.04]}, ["yield", "abstain"]),
+        ({"ego": [0.96, 0.04], "other": [0.97, 0.03]}, ["abstain", "yield"]),
+    ):
+        scene, prediction = moment(TWO | {"other": (0.0, -32.0, NORTH, 8.0)}, chances)
+        _, found = suggest(SuggestionState(), ROAD, scene, prediction, None)
+        assert [one.action for one in sorted(found, key=lambda one: one.ego_id)] == expected
 
 
 @pytest.mark.parametrize(("speed_mps", "expected"), [(0.0, "abstain"), (1.0, "yield")])
@@ -176,7 +206,7 @@ def test_nothing_is_said_to_two_who_wait_for_each_other(speed_mps: float, expect
 
 
 @pytest.mark.parametrize(("chance", "passes"), [(0.9, False), (0.98, True)])
-def test_only_a_sure_pass_is_advised_where_somebody_might_plausibly_hurry(
+def test_only_a_sure_pass_stays_advised_where_somebody_might_plausibly_hurry(
     chance: float, passes: bool
 ) -> None:
     # The ego is out after 33.5 m, 3 s. The other comes after 21.5 m at 3 m/s, 7 s; one in five
@@ -186,8 +216,10 @@ def test_only_a_sure_pass_is_advised_where_somebody_might_plausibly_hurry(
     goals = np.tile([[0.8, 0.2]], (2, 1)), np.tile([[9.0, 24.0]], (2, 1)), np.full((2, 2), 0.1)
     weight, mean, std = goals
     prediction = replace(prediction, goal_weight=weight, goal_mean_m=mean, goal_std_m=std)
-    _, (found,) = suggest(SuggestionState(), ROAD, scene, prediction, frozenset({"ego"}))
-    assert (found.action == "pass") == passes
+    told = SuggestionState({"ego": Told("other", "other", "pass", True)})
+    for before, expected in ((told, passes), (SuggestionState(), False)):
+        _, (found,) = suggest(before, ROAD, scene, prediction, frozenset({"ego"}))
+        assert (found.action == "pass") == expected
 
 
 def test_a_yield_that_comes_too_late_for_a_driver_to_react_is_not_begun() -> None:

@@ -1,4 +1,4 @@
-"""Which slot an ego is advised: the likely one, unless it is unsafe or asks for more than comfort.
+"""Which slot an ego is advised: the likely one, where it is safe and within comfort; else silence.
 
 The probabilities say what people would do. Unsafe is a pass where somebody may plausibly enter the
 area before the ego is out of it, and a yield that comes too late to stay out.
@@ -44,10 +44,9 @@ PASS_MARGIN_S: Final = 0.3
 KEEP_MARGIN_S: Final = 0.0
 """... and stays advised while it is out before, or could still be given up."""
 SURE: Final = 0.95
-SURE_MARGIN_S: Final = 1.0
-"""A pass as probable as this is advised where the predicted entries leave so much time ..."""
 SURE_KEEP_S: Final = 0.3
-"""... and stays advised while they leave this, whoever might plausibly come sooner."""
+"""A pass as probable as this stays advised where the predicted entries leave so much time, whoever
+might plausibly come sooner. Where there is time for a pass, a yield begins only if as probable."""
 WAIT_KNOT: Final = 4
 """Whoever can still stop in comfort after so many knots of a pass, a second, need not give it up
 yet."""
@@ -118,7 +117,8 @@ class Likely:
     still_there: BoolArray  # [R] whom it was about
     slot: IntArray  # [R]
     speaks: BoolArray  # [R] clearly enough to say so
-    passed: BoolArray  # [R] was told to pass in this encounter
+    begins: BoolArray  # [R] it is a yield not told before
+    other_yields: FloatArray  # [R] how probably whoever is first lets the ego go
 
 
 def likely_slots(
@@ -146,10 +146,32 @@ def likely_slots(
     speed = scene.speed_mps[graphs.ego[row]]
     near = graphs.ego_to_conflict_m[row, 0] <= np.maximum(NEAR_S * speed, NEAR_M)
     speaks = stands | ((told >= 0) | near) & (chances.margin(slot) >= SPEAK_MARGIN)
-    passed = np.array(
-        [one is not None and any(action == "pass" for action, _ in one.said) for one in before]
+    return Likely(
+        chances,
+        first,
+        told,
+        still_there,
+        slot,
+        speaks,
+        (told != 0) & (slot == 0) & speaks,
+        _yields_to(graphs, slot_probability, row, first),
     )
-    return Likely(chances, first, told, still_there, slot, speaks, passed | (told > 0))
+
+
+def _yields_to(
+    graphs: SemanticGraphs, slot_probability: FloatArray, row: IntArray, first: IntArray
+) -> FloatArray:
+    """How probably the vehicles of nodes [R] yield, each to the ego of its graph [R].
+
+    0 where one has no graph of its own, or somebody else is the first of the others there.
+    """
+    row_of = np.full(len(graphs.ids), -1)
+    row_of[graphs.ego] = np.arange(len(graphs.ego))
+    its = row_of[graphs.rear[row, first]]
+    its_first = first_of_others(graphs.focus_mask[its], slot_probability[its])
+    meets = (its >= 0) & graphs.focus_mask[its, its_first]
+    meets &= graphs.rear[its, its_first] == graphs.ego[row]
+    return np.where(meets, slot_probability[its, 0], 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +199,7 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     has_begun = ~still_ahead.any(axis=1)
     room_m = np.where(group, outlook.room_m[row], np.inf).min(axis=1)
     speed = outlook.scene.speed_mps[graphs.ego[row]]
-    asks = (likely.slot > 0) | likely.passed | has_begun | ~_stops(speed, room_m)
+    asks = (likely.slot > 0) | likely.begins | has_begun | ~_stops(speed, room_m)
     driven_m, then_mps = _after_reacting(outlook, graphs.ego[row])
     asks |= (likely.told != 0) & ~_stops(then_mps, room_m - driven_m)
     passing = np.flatnonzero(asks)
@@ -257,32 +279,26 @@ def choose(
 ) -> Chosen:
     """The likely slot, if it is safe; once told, a slot stays for as long as it can.
 
-    Nothing is said of a pass that is not safe yet, while there is time to wait and see. Advice is
-    taken back by silence, not by its opposite: but for a pass that is not safe any more.
+    Advice begins only where it is what the driver is likely to do, and safe or at least within
+    comfort: of danger, alerts warn. It is taken back by silence, not by its opposite: but for a
+    pass that is not safe any more, while a yield still is within comfort.
     """
     was_feasible = np.array([told is None or told.feasible for told in before])
     now_s = outlook.scene.time_s
     since = [None if told is None else told.doubted_s for told in before]
     since_s = np.array([now_s if one is None else one for one in since])
-    told = likely.told
-    safe = options.margin_s >= np.where(likely.passed, KEEP_MARGIN_S, PASS_MARGIN_S)
-    # Of two who wait for each other, nobody can tell who will go.
-    graphs, speed = outlook.graphs, outlook.scene.speed_mps
-    fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
-    stuck = fastest < STANDING_MPS
-    sure = ~stuck & (likely.chances.of[np.arange(len(row)), likely.slot] >= SURE)
-    safe |= likely.passed & options.can_wait
-    sure_margin_s = np.where(likely.passed, SURE_KEEP_S, SURE_MARGIN_S)
-    safe |= sure & (options.likely_margin_s >= sure_margin_s)
+    told, wants_pass = likely.told, likely.slot > 0
+    keeps = wants_pass & (likely.slot == told)
+    safe = options.margin_s >= np.where(told > 0, KEEP_MARGIN_S, PASS_MARGIN_S)
+    sure = likely.chances.of[np.arange(len(row)), likely.slot] >= SURE
+    safe |= keeps & (options.can_wait | (sure & (options.likely_margin_s >= SURE_KEEP_S)))
     band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     gentle = options.stays_out & (options.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
     may_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
-    wants_pass = likely.slot > 0
     passes = np.where(wants_pass, may_pass, ~options.stays_out)
     slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
-    waits = wants_pass & (told < 0) & ~may_pass & options.can_wait
     holds = (
         (told >= 0) & likely.still_there & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
     )
@@ -291,21 +307,52 @@ def choose(
     doubted = tuple(
         one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
     )
-    goes = slot > 0
+    goes, begins = slot > 0, slot != told
+    waits = begins & goes & ~safe & options.stays_out
+    waits |= begins & ~goes & wants_pass & ~(keeps & gentle)
+    # A yield does not begin where it asks for more than comfort, or the ego is likely to be gone in
+    # time and might do otherwise, ...
+    own_yield = likely.chances.of[:, 0]
+    free = options.likely_margin_s > 0.0
+    waits |= begins & ~goes & (~gentle | (free & (own_yield < SURE)))
+    # ... nor where it is in the other's way already.
+    waits |= begins & ~goes & in_the_way(outlook, row)[np.arange(len(row)), likely.first]
+    # Nobody is told to yield to one who is likelier to wait for him.
+    waits |= ~goes & ~holds & wants_pass & free & (likely.other_yields > own_yield)
+    # Of two who wait for each other, nobody can tell who will go.
+    graphs, speed = outlook.graphs, outlook.scene.speed_mps
+    fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
+    waits |= (fastest < STANDING_MPS) & ~goes & (wants_pass | (own_yield < SURE))
     other = graphs.rear[row, np.where(goes, slot, likely.first)]
+    names = [outlook.scene.ids[v] for v in other.tolist()]
+    waits |= _contradicts(before, goes, names) & (goes | safe)
+    speaks = (likely.speaks | holds) & ~waits
+    speaks &= ~_less_likely_of_two(speaks & ~goes, graphs.ego[row], other, own_yield)
+    return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
+
+
+def _contradicts(before: Sequence[Told | None], goes: BoolArray, names: list[str]) -> BoolArray:
+    """Whether egos [R] have been told the opposite about the same other vehicle."""
     opposite = ["yield" if one else "pass" for one in goes.tolist()]
-    names_of = [outlook.scene.ids[v] for v in other.tolist()]
-    contradicts = np.array(
+    return np.array(
         [
             told is not None and pair in told.said
-            for told, pair in zip(before, zip(opposite, names_of, strict=True), strict=True)
-        ]
+            for told, pair in zip(before, zip(opposite, names, strict=True), strict=True)
+        ],
+        dtype=np.bool_,
     )
-    waits |= contradicts & (goes | safe)
-    waits |= stuck & wants_pass & ~goes
-    # A yield is not begun against what is surely going to happen ...
-    waits |= (told < 0) & wants_pass & sure & ~goes & (options.likely_margin_s > 0.0)
-    # ... nor one that asks for too much where the ego is likely to be gone in time.
-    waits |= (told < 0) & ~goes & ~gentle & (options.likely_margin_s > 0.0)
-    speaks = (likely.speaks | holds) & ~waits
-    return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
+
+
+def _less_likely_of_two(
+    yields: BoolArray, ego: IntArray, other: IntArray, chance: FloatArray
+) -> BoolArray:
+    """Of each two who are told to yield to one another, the one [R] less likely to."""
+    if not len(ego):
+        return yields
+    count = int(max(ego.max(), other.max())) + 1
+    lets_go, chance_of = np.full(count, -1), np.zeros(count)
+    lets_go[ego[yields]] = other[yields]
+    chance_of[ego] = chance
+    mutual = yields & (lets_go[other] == ego)
+    its = chance_of[other]
+    return np.asarray(mutual & ((chance < its) | ((chance == its) & (ego < other))))

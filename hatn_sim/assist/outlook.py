@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.pairs import CROSS, LEAST_ANGLE_RAD, MERGE, Pairs, area_m, at_conflicts
+from hatn_sim.assist.areas import areas_m
+from hatn_sim.assist.pairs import CROSS, MERGE, Pairs, at_conflicts
 from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
@@ -36,7 +37,6 @@ from hatn_sim.datatypes import (
     Scene,
     SemanticGraphs,
 )
-from hatn_sim.geometry import wrap_angle
 from hatn_sim.graph import AHEAD_AT_M, CONTEXT
 from hatn_sim.road import Road
 from hatn_sim.speed_profile import LATERAL_MPS2
@@ -59,6 +59,7 @@ class Outlook:
     scene: Scene
     graphs: SemanticGraphs
     travelled_m: FloatArray  # [N, F] on the most probable predicted path
+    slowest_m: FloatArray  # [N, F] the least that they may plausibly travel
     room_m: FloatArray  # [E, M] from the ego's front bumper to the area
     clear_m: FloatArray  # [E, M] the ego's way until its rear bumper is out of the area
     other_room_m: FloatArray  # [E, M] from the other's front bumper to the area
@@ -80,16 +81,17 @@ def look_ahead(
     graphs, lines = prediction.graphs, prediction.lines
     assert graphs is not None and lines is not None
     travelled = travelled_m(scene, prediction)
+    fastest, slowest = plausible_travel_m(prediction, travelled)
     e, m = np.nonzero(graphs.node_mask & (np.arange(graphs.rear.shape[1]) > 0))
     index = np.stack((graphs.ego[e], graphs.rear[e, m]), axis=1)
     to_point = np.stack((graphs.ego_to_conflict_m[e, m], graphs.rear_to_conflict_m[e, m]), axis=1)
     point_s = lines.s_m[index] + to_point
-    half, _ = area_m(road, scene, index, lines.line[index], point_s, graphs.conflict_type[e, m])
-    near, far = _cut_m(road, scene, index, lines.line[index], point_s)
-    room, clear = to_point - half - near, to_point + half + far
+    kind = graphs.conflict_type[e, m]
+    before, beyond = areas_m(road, scene, index, lines.line[index], point_s, kind)
+    room, clear = to_point - before, to_point + beyond
     # The ego's and the other's way into the area, and the other's way out of it; and the other's
     # way in once more, with the path that it may plausibly take.
-    ways = np.concatenate((travelled, fastest_travel_m(prediction, travelled)))
+    ways = np.concatenate((travelled, fastest))
     vehicle = np.stack((index[:, 0], index[:, 1], index[:, 1], index[:, 1] + len(travelled)))
     way_m = np.stack((room[:, 0], room[:, 1], clear[:, 1], room[:, 1]))
     ego_enter, enter, leave, soonest = arrival_s(ways, vehicle, way_m)
@@ -104,6 +106,7 @@ def look_ahead(
         scene=scene,
         graphs=graphs,
         travelled_m=travelled,
+        slowest_m=slowest,
         room_m=by_node(room[:, 0]),
         clear_m=by_node(clear[:, 0]),
         other_room_m=by_node(room[:, 1]),
@@ -114,37 +117,6 @@ def look_ahead(
         taken_m=taken_m,
         taken_s=taken_s,
     )
-
-
-def _cut_m(
-    road: Road, scene: Scene, index: IntArray, line: IntArray, point_s_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """How much longer areas [Q, 2] are, at their near and at their far end, as the other turns.
-
-    A body of length l is a chord of its way: in a bend it is up to l^2 k / 8 inside of the line,
-    where k is the curvature. Areas are those of straight strips: that the strip bends takes about
-    as much again, from whoever comes from that side.
-    """
-    length = scene.size_m[index, 0]
-    yaw = np.stack(
-        [
-            road.line_yaw_rad(line[:, k], point_s_m[:, k, None] + length[:, k, None] * _ALONG)
-            for k in (0, 1)
-        ],
-        axis=1,
-    )
-    turned = wrap_angle(yaw[..., 2:] - yaw[..., :-2])  # each while one length is driven
-    sharpest = np.abs(turned).argmax(axis=-1)[..., None]
-    inside = 0.25 * length * np.take_along_axis(turned, sharpest, axis=-1)[..., 0]  # left positive
-    apart = wrap_angle(yaw[:, 1, 2] - yaw[:, 0, 2])
-    slant = np.maximum(np.abs(np.sin(apart)), np.sin(LEAST_ANGLE_RAD))
-    # The first comes from the left of the second where it heads to the right of it.
-    from_left = np.stack((np.sign(apart), -np.sign(apart)), axis=1)
-    towards = inside[:, ::-1] * from_left / slant[:, None]
-    return np.maximum(towards, 0.0), np.maximum(-towards, 0.0)
-
-
-_ALONG: Final = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
 def _taken(
@@ -168,11 +140,13 @@ def _taken(
     return nearest[graphs.ego], until[graphs.ego]
 
 
-def fastest_travel_m(prediction: Prediction, travelled_m: FloatArray) -> FloatArray:
-    """How far vehicles may plausibly get [N, F].
+def plausible_travel_m(
+    prediction: Prediction, travelled_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far vehicles may plausibly get, at most and at least [N, F].
 
-    The predicted path length, and from some time on more of it, as of one who decides then to
-    accelerate: so that it ends at the farthest plausible goal.
+    The predicted path length, and from some time on more or less of it, as of one who decides then
+    to accelerate or to brake: so that it ends at the farthest or nearest plausible goal.
     """
     weight, mean, std = (
         prediction.goal_weight,
@@ -180,14 +154,23 @@ def fastest_travel_m(prediction: Prediction, travelled_m: FloatArray) -> FloatAr
         prediction.goal_std_m,
     )
     if weight is None or mean is None or std is None:
-        return travelled_m
-    far = np.where(weight >= PLAUSIBLE_WEIGHT, mean + PLAUSIBLE_STD * std, 0.0).max(axis=1)
-    more = np.maximum(far - travelled_m[:, -1], 0.0)
+        return travelled_m, travelled_m
+    end_m, counts, reach = travelled_m[:, -1], weight >= PLAUSIBLE_WEIGHT, PLAUSIBLE_STD * std
+    far = np.where(counts, mean + reach, 0.0).max(axis=1)
+    near = np.maximum(np.where(counts, mean - reach, np.inf).min(axis=1), 0.0)
+    more = _deciding_m(np.maximum(far - end_m, 0.0), COMFORT_ACCELERATION_MPS2)
+    less = _deciding_m(np.maximum(end_m - near, 0.0), COMFORT_BRAKING_MPS2)
+    slowest = np.maximum.accumulate(np.maximum(travelled_m - less, 0.0), axis=1)
+    return travelled_m + more, slowest
+
+
+def _deciding_m(difference_m: FloatArray, acceleration_mps2: float) -> FloatArray:
+    """What it adds to the way [N, F] to accelerate so late that it comes to `difference_m` [N]."""
     horizon_s = HORIZON_FRAMES * DT_S
-    gaining_s = np.minimum(np.sqrt(2.0 * more / COMFORT_ACCELERATION_MPS2), horizon_s)
-    since_s = DT_S * np.arange(1, HORIZON_FRAMES + 1) - (horizon_s - gaining_s[:, None])
-    share = np.maximum(since_s, 0.0) / np.maximum(gaining_s, DT_S)[:, None]
-    return np.asarray(travelled_m + more[:, None] * share**2)
+    changing_s = np.minimum(np.sqrt(2.0 * difference_m / acceleration_mps2), horizon_s)
+    since_s = DT_S * np.arange(1, HORIZON_FRAMES + 1) - (horizon_s - changing_s[:, None])
+    share = np.maximum(since_s, 0.0) / np.maximum(changing_s, DT_S)[:, None]
+    return np.asarray(difference_m[:, None] * share**2)
 
 
 def approaches(
@@ -301,14 +284,15 @@ def _leaders(
     """
     graphs, scene = outlook.graphs, outlook.scene
     ego, leader = graphs.ego[row], graphs.leader[row]
-    # Nobody knows what they do beyond the horizon: the ego is to manage if they slow down.
-    travel, speed = travel_at(outlook.travelled_m, time_s, SLOWING_MPS2)
+    # The ego is to manage if they slow down, beyond the horizon or, as far as is plausible, before.
+    slow_m, slow_mps = travel_at(outlook.slowest_m, time_s, SLOWING_MPS2)
     there = (leader >= 0)[:, None]
-    ahead = np.where(there, graphs.leader_gap_m[row][:, None] + travel[leader], np.inf)
-    ahead_mps = np.where(there, speed[leader], 0.0)
+    ahead = np.where(there, graphs.leader_gap_m[row][:, None] + slow_m[leader], np.inf)
+    ahead_mps = np.where(there, slow_mps[leader], 0.0)
     r, m = np.nonzero(first & (graphs.conflict_type[row] == MERGE))
     if not len(r):
         return ahead, ahead_mps
+    travel, speed = travel_at(outlook.travelled_m, time_s, SLOWING_MPS2)
     other = graphs.rear[row[r], m]
     half_m = 0.5 * (scene.size_m[ego[r], 0] + scene.size_m[other, 0])
     before_m = graphs.ego_to_conflict_m[row[r], m] - graphs.rear_to_conflict_m[row[r], m] - half_m
