@@ -54,7 +54,7 @@ class Adviser:
     lines: LineSource = "inferred"
     egos: frozenset[str] | None = None  # who gets suggestions and alerts; None: all; empty: none
     settings: AssistSettings = field(default_factory=AssistSettings)
-    alerts: bool = True  # False: suggestions only, which spares about half of the time
+    alerts: bool = True  # False: suggestions only
 
     @property
     def advises(self) -> bool:
