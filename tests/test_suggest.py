@@ -10,8 +10,8 @@ from conftest import crossing_lanes, lane, scene_of
 
 from hatn_sim.assist.choice import Told
 from hatn_sim.assist.outlines import Boxes, overlap
-from hatn_sim.assist.outlook import in_the_way, look_ahead
-from hatn_sim.assist.suggest import SuggestionState, suggest
+from hatn_sim.assist.outlook import in_the_way, look_ahead, plausible_travel_m
+from hatn_sim.assist.suggest import SuggestionState, slot_profiles, suggest
 from hatn_sim.assist.words import names
 from hatn_sim.datatypes import Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
@@ -229,6 +229,40 @@ def test_a_yield_that_comes_too_late_for_a_driver_to_react_is_not_begun() -> Non
     assert advise(late, [0.9, 0.1])[1].action == "abstain"
     told = SuggestionState({"ego": Told("ego", "other", "yield", True)})
     assert advise(late, [0.9, 0.1], told)[1].action == "yield"
+
+
+def test_vehicles_may_plausibly_get_as_far_as_any_goal_of_some_weight() -> None:
+    _, prediction = moment(TWO, {})
+    steady = np.tile(np.arange(1, 31.0), (2, 1))  # 10 m/s
+    goals = np.tile([[0.5, 0.45, 0.05]], (2, 1)), np.tile([[30.0, 12.0, 0.0]], (2, 1))
+    weight, mean = goals
+    prediction = replace(
+        prediction, goal_weight=weight, goal_mean_m=mean, goal_std_m=np.zeros((2, 3))
+    )
+    fastest, slowest = plausible_travel_m(prediction, steady)
+    assert np.allclose(fastest, steady)
+    # 18 m less by braking evenly for 3 s is 2 t^2 less: it stands after 2.5 s, and 12.5 m.
+    assert np.allclose(slowest[0, [9, 19, 24, 29]], [8.0, 12.0, 12.5, 12.5])
+
+
+def test_a_leader_who_may_plausibly_stop_is_not_run_into() -> None:
+    behind = OPEN | {"leader": (0.0, -15.0, NORTH, 10.0)}
+    ways = {}
+    for near_m in (30.0, 15.0):
+        scene, prediction = moment(behind, {"ego": [0.1, 0.9]})
+        weight = np.tile([[0.8, 0.2]], (3, 1))
+        mean = np.array([[30.0, 30.0], [15.0, 15.0], [30.0, near_m]])
+        prediction = replace(
+            prediction, goal_weight=weight, goal_mean_m=mean, goal_std_m=np.zeros((3, 2))
+        )
+        outlook, chances = look_ahead(ROAD, scene, prediction), prediction.slot_probability
+        assert chances is not None
+        row = np.flatnonzero(outlook.graphs.ego == scene.ids.index("ego"))
+        slot = np.flatnonzero(outlook.graphs.focus_mask[row[0]])[1:]
+        passes = slot_profiles(SuggestionState(), outlook, row, slot, chances)
+        ways[near_m] = 0.1 * passes.tick_speed_mps()[0, :30].sum()
+    # 10 m from bumper to bumper, and 15 m more while it stops.
+    assert ways[15.0] < 25.0 < ways[30.0]
 
 
 @pytest.mark.parametrize(("margin", "expected"), [(0.35, "abstain"), (0.45, "yield")])
