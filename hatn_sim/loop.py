@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.danger import hatn_rule
+from hatn_sim.assist.evade import warn
 from hatn_sim.assist.moment import Moment, Recent
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.assist.suggest import SuggestionState, suggest
@@ -183,7 +185,12 @@ def advise(
     told, suggestions = suggest(
         state.suggestions, road, scene, prediction, adviser.egos, moment.pairs
     )
-    warned, alerts = alert(state.alerts, scene, hatn_rule(moment), settings, adviser.egos)
+    warned, alerts = state.alerts, ()
+    if warned.looks(scene.time_s):
+        dangers = hatn_rule(moment)
+        warned, alerts = alert(
+            warned, scene, dangers, settings, adviser.egos, partial(warn, moment)
+        )
     after = replace(
         state,
         suggestions=told,

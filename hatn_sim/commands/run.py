@@ -322,6 +322,7 @@ def _finish(
         draw_picture,
         rates,
         tell_counterfactuals,
+        tell_everyday_braking,
         write_replay,
     )
     from hatn_sim.datatypes import DT_S, Kind
@@ -341,6 +342,8 @@ def _finish(
         never = [name for name in wanted if name not in logged.ids]
         if never:
             print(f"hatn-sim: never seen in this run: {option} {','.join(never)}", file=sys.stderr)
+    if arguments.acts_on_advice and not arguments.quiet:
+        tell_everyday_braking(logged)
     replayed = write_replay(logged, out, done.replay)
     if arguments.json:
         print(scores_json([*scores, *replayed, *rates(logged, done.frames, taken_s)]))
