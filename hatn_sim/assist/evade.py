@@ -21,6 +21,7 @@ from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
     HARD_BRAKING_MPS2,
+    LEADER,
     SHORT_M,
     SLOWING_MPS2,
 )
@@ -32,7 +33,7 @@ from hatn_sim.assist.risk import (
 )
 from hatn_sim.assist.signs import acceleration_mps2, kept_travel_m
 from hatn_sim.assist.words import names
-from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
+from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray, IntArray
 
 BRAKE, CLEAR = "brake", "clear"
 REACTION_S: Final = 1.0
@@ -63,7 +64,9 @@ def evasions(moment: Moment, pairs: Pairs) -> Evasions:
     room_m = np.where(follows, _room_behind_m(pairs, way_m), pairs.room_m)
     # Who is nearer than that already stays where he is.
     room_m = room_m - np.clip(room_m - EDGE_M, 0.0, 0.5 * SHORT_M)
-    open_s = np.where(follows, HOLDS_S, np.minimum(its.leave_s + LEAVE_MARGIN_S, HOLDS_S))
+    # Who merges behind another has to keep a distance.
+    margin_s = np.where(pairs.type == ConflictType.MERGE, LEADER.time_s, LEAVE_MARGIN_S)[:, None]
+    open_s = np.where(follows, HOLDS_S, np.minimum(its.leave_s + margin_s, HOLDS_S))
     gone_m, then_mps = (of[pairs.index, 0] for of in travel_at(way_m, np.array([REACTION_S])))
     left_m, left_s = room_m + NOSE_M - gone_m, open_s - REACTION_S
     needed = required_deceleration_mps2(left_m, then_mps, left_s)
