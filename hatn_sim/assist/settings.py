@@ -45,14 +45,6 @@ RANGES: Final = {
     "confident": (0.5, 1.0),
 }
 """Lowest and highest value of each: what is beyond them was meant in another unit."""
-UNITS: Final = {
-    "alert_onset": "(a danger)",
-    "alert_end": "(a danger)",
-    "end_after_s": "s",
-    "least_s": "s",
-    "cool_down_s": "s",
-    "confident": "(a probability)",
-}
 ORDERED: Final = (("alert_end", "alert_onset"), ("end_after_s", "cool_down_s"))
 """Of each of these the first may not be greater than the second."""
 NETWORK: Final = "danger_network"
@@ -76,9 +68,8 @@ def read_assist_settings(path: Path) -> AssistSettings:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"{path}: {key}: expected a number, found {value!r}")
         if not low <= value <= high:
-            raise InputError(
-                f"{path}: {key}: expected {low:g} to {high:g} {UNITS[key]}, found {value:g}"
-            )
+            unit = " s" if key.endswith("_s") else ", without a unit"
+            raise InputError(f"{path}: {key}: expected {low:g} to {high:g}{unit}, found {value:g}")
         given[key] = float(value)
     settings = AssistSettings(**given)
     for small, large in ORDERED:

@@ -1,8 +1,9 @@
 """Whether evasive braking (T2) is everyday braking in a scene, and tells nothing of danger there.
 
-Drivers who brake by the threshold of T2 whenever they stop, as SUMO's default ones do, never
-collide: what tells is a rate that no real danger explains. In the scenes that ship T2 happens up
-to 7 times in an hour of a vehicle, with drivers of whom one in three such moments ends in contact.
+Drivers who brake at the threshold of T2 whenever they stop, as SUMO's default ones do, seldom
+collide. In the scenes that ship T2 happens up to 7 times in an hour of a vehicle, where many
+drivers break rules; where violations are scripted, more often, and one in five to seven ends in
+contact.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ MANY_PER_HOUR: Final = 15.0
 """Evasive brakings in an hour of a vehicle ..."""
 LEAST: Final = 10
 """... and in all that is looked at ..."""
-PER_COLLISION: Final = 50
+PER_COLLISION: Final = 10
 """... with no more than one collision in so many of them: drivers brake so in ordinary traffic."""
 
 

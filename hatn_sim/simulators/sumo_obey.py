@@ -100,7 +100,9 @@ class _GivesWay:
         left_m, left_s = change.room_m - (driven_m - self._begun_m), change.open_s - step * dt_s
         if step < round(change.start_s / dt_s) or left_s <= 0.0 or left_m < -NOSE_M:
             return None
-        needed_mps2 = braking_to_give_way_mps2(now_mps, max(left_m, LEAST_ROOM_M), left_s)
+        # Half of what is driven in this step is gone before it brakes.
+        room_m = max(left_m - 0.5 * dt_s * now_mps, LEAST_ROOM_M)
+        needed_mps2 = braking_to_give_way_mps2(now_mps, room_m, left_s)
         return min(now_mps - dt_s * min(needed_mps2, change.hardest_mps2), own_mps)
 
 
