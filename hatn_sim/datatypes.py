@@ -264,6 +264,11 @@ class Alert:
     other_id: str
     severity: float
     reason: str
+    # What the ego had better do, told at the onset.
+    action: str | None = None  # "brake": stay out of the other's way; "clear": get out of it
+    room_m: float | None = None  # of "brake": from the front bumper to where the two meet
+    open_s: float | None = None  # of "brake": from the onset until the other has left
+    text: str | None = None
 
 
 @dataclass(frozen=True)
@@ -350,6 +355,23 @@ class Plan:
     start_s: float  # from now; until then the simulator's own driver drives
     speed_mps: FloatArray  # [F] at the end of each tick from the start on
     blend_s: float = 0.0  # over which the speed it has at the start changes to the planned ones
+    at_least: bool = False  # faster where the simulator's driver would be
+
+
+@dataclass(frozen=True)
+class GiveWay:
+    """Brake a vehicle as little as keeps it out of a place until that is free.
+
+    From `start_s` on it does not speed up, and brakes evenly over the way and the time that are
+    left, so as to reach the place no sooner than it is free, or to stop before it; harder where the
+    simulator's driver does so himself. Who is in the place all the same, is his driver's again.
+    """
+
+    ego_id: str
+    start_s: float  # from now; until then the simulator's own driver drives
+    room_m: float  # from the front bumper now to the place
+    open_s: float  # from now until the place is free
+    hardest_mps2: float
 
 
 @dataclass(frozen=True)
@@ -363,7 +385,7 @@ class Lawful:
     ego_id: str
 
 
-Change = Plan | Lawful
+Change = Plan | GiveWay | Lawful
 
 
 @dataclass(frozen=True, eq=False)

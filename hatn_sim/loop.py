@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.danger import hatn_rule
+from hatn_sim.assist.evade import warn
 from hatn_sim.assist.moment import Moment, Recent
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.assist.suggest import SuggestionState, suggest
@@ -214,7 +216,12 @@ def alerts_of(
 ) -> tuple[AdviserState, tuple[Alert, ...]]:
     """The other half."""
     scene = moment.scene
-    warned, alerts = alert(state.alerts, scene, hatn_rule(moment), adviser.settings, adviser.egos)
+    warned, alerts = state.alerts, ()
+    if warned.looks(scene.time_s):
+        dangers = hatn_rule(moment)
+        warned, alerts = alert(
+            warned, scene, dangers, adviser.settings, adviser.egos, partial(warn, moment)
+        )
     recent = state.recent.with_newest(scene.time_s, moment.prediction)
     return replace(state, alerts=warned, recent=recent), alerts
 

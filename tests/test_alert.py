@@ -158,17 +158,42 @@ def test_an_alert_begins_peaks_and_ends() -> None:
     on, end = SETTINGS.alert_onset, SETTINGS.alert_end
     told = edges_of([0.5 * end, on, 0.9, end, end - 0.01, 0.0])
     assert [one.edge for one in told] == ["onset", "peak", "end"]
-    assert [round(one.time_s, 1) for one in told] == [0.1, 0.2, 0.3]
+    assert [round(one.time_s, 1) for one in told] == [0.1, 0.2, 1.1]  # for a second at least
     assert [one.severity for one in told] == pytest.approx([on, 0.9, 0.9])
     assert {(one.alert_id, one.ego_id, one.other_id) for one in told} == {("a00001", "b", "a")}
     assert told[1].reason == WHY
+    longer = edges_of([on, *[end] * 15])
+    assert round(longer[-1].time_s, 1) == 1.5
 
 
 def test_danger_that_comes_back_soon_is_the_same_alert() -> None:
-    back = [0.9, *[0.0] * 19, 0.9]
-    late = [0.9, *[0.0] * 20, 0.9]
+    back = [0.9, *[0.0] * 29, 0.9]
+    late = [0.9, *[0.0] * 30, 0.9]
     assert [one.edge for one in edges_of(back)] == ["onset", "peak", "end"]
     assert [one.edge for one in edges_of(late)] == ["onset", "peak", "end"] * 2
+
+
+def test_who_touches_or_did_is_past_warning() -> None:
+    """The one behind runs into the other after 1 s, stands in it for another, and comes free."""
+    state, onsets = AlertState(), list[float]()
+    for frame in range(100):
+        away_m = 9.0 if frame < 10 else 3.0 if frame < 20 else 9.0
+        ids = {"b": (0.0, 0.0, 0.0, 1.0), "a": (away_m, 0.0, 0.0, 1.0)}
+        danger = 0.9 if frame in (8, 12, 15) or frame >= 60 else 0.0
+        found = PairDangers(np.array([0]), np.array([1]), np.array([danger]))
+        state, edges = alert(state, scene_of(0.1 * frame, ids), found, SETTINGS, None)
+        onsets += [round(one.time_s, 1) for one in edges if one.edge == "onset"]
+    assert onsets == [0.8, 7.0]  # 5 s after they touched last, at 1.9 s
+
+
+def test_dangers_are_looked_at_as_often_as_in_calibration() -> None:
+    state, looked = AlertState(), list[float]()
+    nothing = PairDangers(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+    for frame in range(9):
+        if state.looks(0.1 * frame):
+            looked.append(round(0.1 * frame, 1))
+            state, _ = alert(state, scene_of(0.1 * frame, {}), nothing, SETTINGS, None)
+    assert looked == [0.0, 0.2, 0.4, 0.6, 0.8]
 
 
 def test_egos_choose_whose_alerts_are_told_and_who_is_ego() -> None:
@@ -228,14 +253,16 @@ def test_settings_are_read_and_what_is_not_named_stays(tmp_path: Path) -> None:
     ("text", "told"),
     [
         ("alert_onset_mps2 = 9", "unknown key 'alert_onset_mps2'; did you mean 'alert_onset'"),
-        ("alert_onset = 25", "alert_onset: expected 0.001 to 1, found 25; is it in the unit"),
-        ("cool_down_s = nan", "cool_down_s: expected 0 to 60, found nan"),
+        ("alert_onset = 25", "alert_onset: expected 0.001 to 1, without a unit, found 25"),
+        ("cool_down_s = nan", "cool_down_s: expected 0 to 60 s, found nan"),
+        ("least_s = 1000", "least_s: expected 0 to 10 s, found 1000"),
         ("confident = '4'", "confident: expected a number, found '4'"),
         ("confident = true", "confident: expected a number, found True"),
-        ("alert_onset = 0.001", "is above alert_onset = 0.001"),
+        ("alert_onset = 0.001", "alert_end = 0.2232 (default) is above alert_onset = 0.001;"),
+        ("danger_network = '.'", "danger_network: expected a file, found a folder at"),
         ("danger_network = 3", "danger_network: expected the name of a file, found 3"),
         ("danger_network = 'no.json'", "danger_network: expected a file, found none at"),
-        ("end_after_s = 5", "end_after_s = 5 is above cool_down_s = 2"),
+        ("end_after_s = 5", "end_after_s = 5 is above cool_down_s = 2 (default)"),
         ("confident = ", "not valid TOML"),
     ],
 )

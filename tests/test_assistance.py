@@ -93,7 +93,7 @@ def test_an_alert_begins_at_the_threshold_and_ends_where_danger_was_last_near_it
     rows = [(0.2 * k, "b", "a", danger) for k, danger in enumerate(dangers)]
     (alert,) = alerts_at(trace_of(*rows), 1.0)
     assert (alert.first_id, alert.second_id, alert.danger) == ("a", "b", 1.5)
-    assert (alert.onset_s, alert.peak_s, alert.end_s) == pytest.approx((0.4, 0.6, 0.8))
+    assert (alert.onset_s, alert.peak_s, alert.end_s) == pytest.approx((0.4, 0.6, 1.4))
     assert alerts_at(trace_of(*rows), 1.6) == []
 
 
@@ -132,7 +132,7 @@ def test_alerts_afterwards_are_those_that_were_raised_live(seed: int) -> None:
     raised: list[tuple[str, str, str, float]] = []
     nothing = PairDangers(first[:0], second[:0], level[0, :0])
     for k in range(180):
-        scene = scene_of(0.2 * k, dict.fromkeys("cab", (0.0, 0.0, 0.0, 1.0)))
+        scene = scene_of(0.2 * k, {name: (9.0 * n, 0.0, 0.0, 1.0) for n, name in enumerate("cab")})
         found = PairDangers(first, second, level[k]) if k < len(level) else nothing
         recorder.add(scene.time_s, scene.ids, found)
         state, edges = alert(state, scene, found, settings, None)

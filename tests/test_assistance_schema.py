@@ -98,6 +98,10 @@ def test_an_alert_of_each_edge(edge: str, type_: str) -> None:
     validator("alert_line").validate({"frame": 0, **plain(said)})
     for wrong in ({"edge": "middle"}, {"type": "WORRY"}, {"severity": 1.5}, {"other_id": ""}):
         assert not validator("alert_line").is_valid({"frame": 0, **plain(said), **wrong})
+    told = replace(said, action="brake", room_m=-0.2, open_s=2.5, text="Brake: let it go first")
+    validator("alert_line").validate({"frame": 0, **plain(told)})
+    for wrong in ({"action": "swerve"}, {"open_s": -1.0}, {"open_s": 7.0}):
+        assert not validator("alert_line").is_valid({"frame": 0, **plain(told), **wrong})
 
 
 def plain(said: Suggestion | Alert) -> dict[str, Any]:
@@ -114,7 +118,7 @@ ALERT: dict[str, Any] = {
     "alert_id": "a00001",
     "type": "CONFLICT",
     "other_id": "b",
-    "obeyed_slot_id": "a",
+    "action": "brake",
 }
 SUGGESTION: dict[str, Any] = {
     "frame": 95,

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from hatn_sim.config import Scenario, load_scenario
-from hatn_sim.datatypes import DT_S, Branch, Command, Frame, Lawful, Plan
+from hatn_sim.datatypes import DT_S, Branch, Change, Command, Frame, Lawful, Plan
 from hatn_sim.errors import InputError
 from hatn_sim.simulators.forks import Forks
 from hatn_sim.simulators.sumo import SumoSimulator
@@ -41,7 +41,7 @@ def after(simulator: SumoSimulator, steps: int, seed: int = SEED) -> Frame:
     return frame
 
 
-def one_branch(simulator: SumoSimulator, *changes: Plan | Lawful, horizon_s: float) -> Branch:
+def one_branch(simulator: SumoSimulator, *changes: Change, horizon_s: float) -> Branch:
     (future,) = simulator.branch([changes], horizon_s)
     branch = future.result()
     assert branch is not None

@@ -135,6 +135,18 @@ def test_braking_that_was_under_way_is_no_event_of_an_alert() -> None:
     assert judge_alert(never, at_once, "ego").verdict == "harmful"
 
 
+def test_what_a_driver_does_when_he_has_his_vehicle_back_is_his_own_doing() -> None:
+    starts = {"ego": (0.0, 0.0), "other": (60.0, 0.0)}
+    later = constant(10.0)
+    later[40:] = slowing(6.0, 0.0)[: FRAMES - 40]
+    never, in_four_s = (
+        branch({"ego": own, "other": constant(0.0)}, starts) for own in (constant(10.0), later)
+    )
+    assert judge_alert(never, in_four_s, "ego", 4.0).verdict == "harmful"
+    assert judge_alert(never, in_four_s, "ego", 3.9).verdict == "unneeded"
+    assert judge_alert(in_four_s, never, "ego", 3.9).verdict == "unneeded"  # and so either way
+
+
 # ---------------------------------------------------------------------------------------------
 # Costs
 

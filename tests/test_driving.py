@@ -71,7 +71,7 @@ def test_the_ego_of_highway_env_is_driven_from_the_beginning_or_from_a_time_on()
 
 def test_nobody_of_that_name_or_nobody_at_all(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("tjunction", "--duration", 1, "--warm-up", 0, "--agent", "constant_speed")
-    assert run(*words, "--drive", "nobody", "--out", "out") == 0
+    assert run(*words, "--drive", "nobody", "--out", "out") == 2  # not the run that was asked for
     printed = capsys.readouterr()
     assert "never seen in this run: --drive nobody" in printed.err
     json.loads(printed.out)

@@ -4,7 +4,8 @@
 |---|---|---|
 | `alert_onset` | 0 ... 1 | an alert begins where a pair's danger (`danger`) reaches this ... |
 | `alert_end` | 0 ... 1 | ... and goes on while it is at least this |
-| `end_after_s` | s | it ends when it was less for longer than this |
+| `end_after_s` | s | it ends when it was less for longer than this ... |
+| `least_s` | s | ... but not sooner than this after its onset |
 | `cool_down_s` | s | danger that comes back sooner than this is the same alert |
 | `confident` | probability | predicted so surely to let others go, who goes first deviates |
 | `danger_network` | file | what tells the danger, beside the TOML file; "": that which ships |
@@ -27,6 +28,7 @@ class AssistSettings:
     alert_onset: float = 0.279
     alert_end: float = 0.2232
     end_after_s: float = 0.5
+    least_s: float = 1.0
     cool_down_s: float = 2.0
     confident: float = 0.95
     danger_network: str = ""
@@ -38,6 +40,7 @@ RANGES: Final = {
     "alert_onset": (LEAST_DANGER, 1.0),
     "alert_end": (0.0, 1.0),
     "end_after_s": (0.0, 10.0),
+    "least_s": (0.0, 10.0),
     "cool_down_s": (0.0, 60.0),
     "confident": (0.5, 1.0),
 }
@@ -65,19 +68,17 @@ def read_assist_settings(path: Path) -> AssistSettings:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"{path}: {key}: expected a number, found {value!r}")
         if not low <= value <= high:
-            raise InputError(
-                f"{path}: {key}: expected {low:g} to {high:g}, found {value:g}; is it in the unit "
-                "that the README says?"
-            )
+            unit = " s" if key.endswith("_s") else ", without a unit"
+            raise InputError(f"{path}: {key}: expected {low:g} to {high:g}{unit}, found {value:g}")
         given[key] = float(value)
     settings = AssistSettings(**given)
     for small, large in ORDERED:
-        one, other = getattr(settings, small), getattr(settings, large)
-        if one > other:
-            raise InputError(
-                f"{path}: {small} = {one:g} is above {large} = {other:g}; expected it not to be: "
-                "change either"
+        if getattr(settings, small) > getattr(settings, large):
+            one, other = (
+                f"{key} = {getattr(settings, key):g}{'' if key in given else ' (default)'}"
+                for key in (small, large)
             )
+            raise InputError(f"{path}: {one} is above {other}; expected it not to be: set either")
     return settings
 
 
@@ -88,5 +89,6 @@ def _network(path: Path, value: object) -> str:
         return ""
     file = path.parent / value
     if not file.is_file():
-        raise InputError(f"{path}: {NETWORK}: expected a file, found none at {file}")
+        found = "a folder" if file.is_dir() else "none"
+        raise InputError(f"{path}: {NETWORK}: expected a file, found {found} at {file}")
     return str(file)

@@ -178,7 +178,26 @@ def make_runs(arguments: argparse.Namespace, out: Path) -> list[AssessedRun]:
     if not arguments.quiet:
         for notice in dict.fromkeys(f"{run.scene}: {line}" for run in runs for line in run.notices):
             print(f"hatn-sim: {notice}", file=sys.stderr)
+        for notice in _everyday_brakings(runs):
+            print(f"hatn-sim: {notice}", file=sys.stderr)
     return runs
+
+
+def _everyday_brakings(runs: Sequence[AssessedRun]) -> Iterator[str]:
+    """Of each scene and profile where T2 is everyday braking, a line."""
+    from hatn_sim.score.everyday import everyday_braking
+
+    for scene, risk in dict.fromkeys((run.scene, run.risk) for run in runs):
+        of = [run for run in runs if (run.scene, run.risk) == (scene, risk)]
+        events = [
+            event
+            for run in of
+            for event in run.events
+            if run.window_s[0] <= event.start_s < run.window_s[1]
+        ]
+        found = everyday_braking(events, sum(run.vehicle_hours for run in of))
+        if found is not None:
+            yield f"{scene}{f', {risk} drivers' if risk else ''}: {found}"
 
 
 def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:

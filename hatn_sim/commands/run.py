@@ -56,6 +56,8 @@ EXAMPLES = """examples:
   hatn-sim run --tracks site/vehicle_tracks_000.csv --map site.osm --net site.net.xml --drive 12@8
 """
 DURATION_S = 60.0
+NOBODY_DRIVEN = 2
+"""Exit status of a run in which none of the vehicles of --drive was there."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -322,6 +324,7 @@ def _finish(
         draw_picture,
         rates,
         tell_counterfactuals,
+        tell_everyday_braking,
         write_replay,
     )
     from hatn_sim.datatypes import DT_S, Kind
@@ -337,14 +340,19 @@ def _finish(
     write_scores(out, scores)
     taken_s = done.seconds + time.monotonic() - scoring
     pictures = [] if arguments.no_picture else draw_picture(logged, out, arguments.quiet)
-    for option, wanted in (("--egos", arguments.egos or ()), ("--drive", _driven(arguments))):
+    driven = _driven(arguments)
+    for option, wanted in (("--egos", arguments.egos or ()), ("--drive", driven)):
         never = [name for name in wanted if name not in logged.ids]
         if never:
             print(f"hatn-sim: never seen in this run: {option} {','.join(never)}", file=sys.stderr)
+    # Who asked for a driven vehicle, and had none, has another run than he asked for.
+    drove = 0 if not driven or any(name in logged.ids for name in driven) else NOBODY_DRIVEN
+    if arguments.acts_on_advice and not arguments.quiet:
+        tell_everyday_braking(logged)
     replayed = write_replay(logged, out, done.replay)
     if arguments.json:
         print(scores_json([*scores, *replayed, *rates(logged, done.frames, taken_s)]))
-        return 0
+        return drove
     make_console().print(score_table(scores, clustered_over([logged])))
     if done.replay is not None:
         from hatn_sim.report.replay_table import replay_table
@@ -364,4 +372,4 @@ def _finish(
     print(f"log, scores and picture in {out}" if pictures else f"log and scores in {out}")
     if pictures:
         print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
-    return 0
+    return drove

@@ -25,6 +25,17 @@ def tell_counterfactuals(logged: Run) -> None:
     print("\n".join(tally_words(tally(logged.counterfactuals), CounterfactualSettings())))
 
 
+def tell_everyday_braking(logged: Run) -> None:
+    """A notice where evasive braking is everyday braking."""
+    from hatn_sim.score.everyday import everyday_braking
+    from hatn_sim.score.logged import assessed_log
+
+    assessed = assessed_log(logged)
+    found = everyday_braking(assessed.events, assessed.vehicle_hours)
+    if found is not None:
+        print(f"hatn-sim: {found}", file=sys.stderr)
+
+
 def write_replay(logged: Run, out: Path, replay: tuple[Fidelity, Divergence] | None) -> list[Score]:
     """The figures of a replay inside SUMO, in a file of the run as well."""
     if replay is None:

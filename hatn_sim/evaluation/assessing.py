@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from hatn_sim.assist.alert import AlertState, alert
+from hatn_sim.assist.alert import LOOK_S, AlertState, Met, alert, without_met
 from hatn_sim.assist.baselines import RULES
 from hatn_sim.assist.danger import SIGNS_OF
+from hatn_sim.assist.evade import warn
 from hatn_sim.assist.moment import Moment, Recent
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.assist.suggest import SuggestionState, suggest
@@ -40,8 +42,7 @@ from hatn_sim.traffic import open_traffic
 
 RUN_IN_S: Final = 3.0
 RUN_OUT_S: Final = 5.0
-LOOK_EVERY_FRAMES: Final = 2
-"""Rules look at every second frame: half the time of a run, and an onset is at most 0.1 s late."""
+LOOK_EVERY_FRAMES: Final = round(LOOK_S / DT_S)
 SAMPLE_EVERY_LOOKS: Final = 3
 """Suggestions are sampled every 0.6 s."""
 
@@ -133,6 +134,7 @@ class _Looking:
         self._recent = Recent()
         self._alerts = AlertState()
         self._dangers = {name: DangerRecorder() for name in plan.rules}
+        self._met = dict.fromkeys(plan.rules, Met())
         self._signs = {name: SignRecorder() for name in SIGNS_OF} if plan.keeps_signs else {}
         self._what_if: WhatIf | None = None
         self._notices: tuple[str, ...] = ()
@@ -169,14 +171,16 @@ class _Looking:
         sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
         self._advice.add(index, scene.time_s, Advice(prediction, suggestions, ()), sampled)
         for name, recorder in self._dangers.items():
-            recorder.add(scene.time_s, scene.ids, RULES[name](moment))
+            self._met[name], found = without_met(self._met[name], scene, RULES[name](moment))
+            recorder.add(scene.time_s, scene.ids, found)
         if self._what_if is not None:
             found = RULES["hatn"](moment)
-            self._alerts, alerts = alert(self._alerts, scene, found, settings, None)
+            warns = partial(warn, moment)
+            self._alerts, alerts = alert(self._alerts, scene, found, settings, None, warns)
             told = Advice(prediction, suggestions, alerts)
             # Advice is judged in the window only; the whole of a branch lies in the run.
-            if scene.time_s >= self._window_s[0]:
-                self._lines += self._what_if.see(index, frame, told)
+            asks = scene.time_s >= self._window_s[0]
+            self._lines += self._what_if.see(index, frame, told, asks)
 
     def finish(self) -> None:
         """Nothing more will come."""

@@ -61,7 +61,8 @@ def work_on(
     """(number, result) of every item, as they get ready.
 
     `work` and the items are sent to processes of their own, but for one worker, which is this
-    process. The first error, or ctrl-C, stops all others at their next step and is raised here.
+    process. The first error, or ctrl-C, stops all others at their next step and is raised here; to
+    be ended (SIGTERM) is taken as ctrl-C, so that nothing is left behind.
 
     Raises:
         HatnSimError: a process was killed, as by a machine that has no memory left.
@@ -73,8 +74,12 @@ def work_on(
         return
     context = get_context("spawn")
     told, stop = context.SimpleQueue(), context.Event()
-    with ProcessPoolExecutor(workers, context, _begin, (told, stop)) as pool:
-        with _ctrl_c_ignored():  # which the processes inherit: who waits for them stops them
+    with (
+        _signal_does(signal.SIGTERM, signal.default_int_handler),
+        ProcessPoolExecutor(workers, context, _begin, (told, stop)) as pool,
+    ):
+        # The processes inherit this: who waits for them stops them.
+        with _signal_does(signal.SIGINT, signal.SIG_IGN):
             waiting: dict[Future[Result], int] = {
                 pool.submit(_do, work, number, item): number for number, item in enumerate(items)
             }
@@ -99,15 +104,15 @@ def _showing(show: Show, number: int) -> Callable[[int], None]:
 
 
 @contextmanager
-def _ctrl_c_ignored() -> Generator[None, None, None]:
+def _signal_does(number: int, what: Any) -> Generator[None, None, None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.signal(number, what)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
 
 
 def _begin(told: Any, stop: Any) -> None:

@@ -173,7 +173,11 @@ class RunWriter:
             key = suggestion.action, suggestion.slot_id, suggestion.feasible
             advised[suggestion.ego_id] = key
             if self._advised.get(suggestion.ego_id) != key:
-                _write_line(self._suggestions, {"frame": frame_index, **asdict(suggestion)})
+                line = {"frame": frame_index, **asdict(suggestion)}
+                if suggestion.action == "abstain":
+                    # Nothing is advised: what would have been is nobody's to act on.
+                    line |= {"target_time_s": None, "advised_speed_mps": None}
+                _write_line(self._suggestions, line)
         for ego_id in self._advised:
             if ego_id not in advised:
                 gone = {"frame": frame_index, "ego_id": ego_id, "action": None}

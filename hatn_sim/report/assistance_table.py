@@ -61,9 +61,16 @@ def assistance_table(scores: Sequence[Score]) -> Group:
             title = f"{scene}, {risk} drivers: what obeying would have changed"
             parts += [_table(title, "of", judged, WHAT_IF, by_key, scene, risk), Text()]
     note = (
-        "[low high] 95 % interval, bootstrapped over runs; near: alerts that meet a close "
-        "encounter or a brief braking only"
+        "[low high] 95 % interval, bootstrapped over runs; recall: events with an alert before, "
+        "1.5 s ahead: so early; lead: median; precision: hits of hits and false alarms; false/h, "
+        "near/h: per vehicle-hour, near: meets a close encounter or a brief braking only; again: "
+        "further alerts on an event"
     )
+    if any(score.measure == "regret" for score in scores):
+        note += (
+            "; useful: of alerts with an event to come, those that obeying removes; harmful, "
+            "unneeded: of all judged; regret: cost over that of the best slot"
+        )
     if any(score.predictor == "oracle" for score in scores):
         note += "; rules beside hatn: at no more false alarms than it"
     return Group(*parts, Text(note, style="dim"))

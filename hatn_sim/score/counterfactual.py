@@ -7,6 +7,8 @@ The definitions are METHOD 7's. Where it is silent, this holds:
   random numbers in another order. What obeying costs them is told apart.
 - Braking that is under way when the alert begins, and is an event whatever the ego does, was not
   warned of: it counts for neither branch.
+- What begins later than a reaction time after the driver has his vehicle back is of his own
+  doing, and counts for neither branch: drivers who break rules at random do so again.
 - T1 is worse than T2. Obeying is harmful if any pair is worse off by it, else useful if any is
   better off, else unneeded if there was no event, else unavailing.
 - Costs of slots are told over the whole branch. Whose time is lost is told in m: how much farther
@@ -31,6 +33,7 @@ SEVERITY: Final = {"T1": 2, "T2": 1}
 USEFUL, UNNEEDED, HARMFUL, UNAVAILING = "useful", "unneeded", "harmful", "unavailing"
 AFFECTED_M: Final = 0.5
 """Who is somewhere else than in another branch by so much is affected by what differs."""
+ROUNDING_S: Final = 1e-6
 SLOWEST_MPS: Final = 1.0
 """Delay is told at the mean speed of the best slot, but at no less."""
 
@@ -131,9 +134,18 @@ def _worst(events: Iterable[SafetyEvent]) -> Mapping[tuple[str, str | None], int
     return worst
 
 
-def judge_alert(ignored: Branch, obeyed: Branch, ego_id: str) -> AlertVerdict:
-    """The verdict on an alert, from the unmodified branch and the one in which the ego obeys."""
-    events = [concerning(events_in_branch(branch), ego_id) for branch in (ignored, obeyed)]
+def judge_alert(
+    ignored: Branch, obeyed: Branch, ego_id: str, until_s: float = np.inf
+) -> AlertVerdict:
+    """The verdict on an alert, from the unmodified branch and the one in which the ego obeys.
+
+    Events count that start no later than `until_s` after the alert.
+    """
+    end_s = ignored.time_s[0] + until_s + ROUNDING_S
+    events = [
+        tuple(one for one in concerning(events_in_branch(branch), ego_id) if one.start_s <= end_s)
+        for branch in (ignored, obeyed)
+    ]
     under_way = {_what(one) for one in events[0] if one.start_s <= ignored.time_s[0]}
     events = [tuple(one for one in of if _what(one) not in under_way) for of in events]
     others = _affected((ignored, obeyed)) - {ego_id}

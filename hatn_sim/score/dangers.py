@@ -124,12 +124,18 @@ def alerts_at(
             severity=min(float(danger[peak]), 1.0),
             danger=float(danger[peak]),
         )
-        pause_s = alert.onset_s - alerts[-1].end_s if before == (one, other) else np.inf
+        same = before == (one, other)
+        pause_s = alert.onset_s - _told_until_s(alerts[-1], settings) if same else np.inf
         if pause_s <= settings.cool_down_s + ROUNDING_S:
             alert = _joined(alerts.pop(), alert)
         alerts.append(alert)
         before = (one, other)
+    alerts = [replace(alert, end_s=_told_until_s(alert, settings)) for alert in alerts]
     return sorted(alerts, key=lambda one: (one.onset_s, one.first_id, one.second_id))
+
+
+def _told_until_s(alert: AlertInterval, settings: AssistSettings) -> float:
+    return max(alert.end_s, alert.onset_s + settings.least_s)
 
 
 def _joined(one: AlertInterval, next_: AlertInterval) -> AlertInterval:

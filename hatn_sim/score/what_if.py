@@ -10,19 +10,24 @@ from __future__ import annotations
 import hashlib
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from hatn_sim.assist.evade import CLEAR
 from hatn_sim.assist.outlook import look_ahead
+from hatn_sim.assist.profile import HARD_BRAKING_MPS2, PROFILE_FRAMES
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
 from hatn_sim.datatypes import (
+    DT_S,
     Advice,
     Alert,
     Branch,
     BranchFuture,
+    Change,
     Frame,
+    GiveWay,
     Plan,
     SemanticGraphs,
     Simulator,
@@ -41,6 +46,8 @@ from hatn_sim.score.counterfactual import (
 WAITED_FRAMES: Final = 2
 """Branches are asked for so many frames after they were started: by then most are done."""
 YIELD: Final = 0
+FIRST: Final = 1
+"""Whoever it is passed before: who is to clear the place drives as fast as he may."""
 Line = dict[str, Any]
 
 
@@ -66,8 +73,8 @@ class WhatIf:
     """Judges a sample of the alerts and suggestions of a run.
 
     Alerts are asked about at their onset, suggestions when another slot is advised than before,
-    never those that abstain. A warned ego obeys by the profile of the slot it is advised, or of
-    yielding where it is advised none.
+    never those that abstain. A warned ego obeys by what the alert says: it brakes as little as
+    keeps it out of the other's way, or goes on as fast as it may in comfort, or as its driver does.
     """
 
     def __init__(
@@ -84,59 +91,87 @@ class WhatIf:
         self._told: dict[str, tuple[str, str | None]] = {}
         self._asked: deque[_Asked] = deque()
 
-    def see(self, index: int, frame: Frame, advice: Advice) -> list[Line]:
-        """Starts what is to be asked of this moment; returns lines of earlier ones."""
+    def see(self, index: int, frame: Frame, advice: Advice, asks: bool = True) -> list[Line]:
+        """Starts what is to be asked of this moment, if anything is; lines of earlier ones."""
         graphs = advice.prediction.graphs
         if graphs is not None:
             self._advised = SuggestionState(
                 stopped=stopped_at_line(self._advised.stopped, frame.scene, graphs)
             )
-            self._ask(index, frame, advice, graphs)
+            changed = self._changed(advice.suggestions)
+            if asks:
+                self._ask(index, frame, advice, graphs, changed)
         return self._lines(index - WAITED_FRAMES)
 
     def finish(self) -> list[Line]:
         """The lines of all that is still under way."""
         return self._lines(None)
 
-    def _ask(self, index: int, frame: Frame, advice: Advice, graphs: SemanticGraphs) -> None:
-        alerts = [one for one in advice.alerts if one.edge == "onset" and self._samples(index, one)]
-        suggestions = [
-            one for one in self._changed(advice.suggestions) if self._samples(index, one)
-        ]
+    def _ask(
+        self,
+        index: int,
+        frame: Frame,
+        advice: Advice,
+        graphs: SemanticGraphs,
+        changed: Sequence[Suggestion],
+    ) -> None:
         row_of = {graphs.ids[v]: e for e, v in enumerate(graphs.ego.tolist())}
-        wanted: list[tuple[Alert | Suggestion, int, list[int]]] = []
-        for alert in alerts:
-            row = row_of.get(alert.ego_id)
-            if row is not None:
-                slot = _slot_advised(alert.ego_id, row, graphs, advice.suggestions)
-                wanted.append((alert, row, [slot]))
-        for suggestion in suggestions:
-            row = row_of[suggestion.ego_id]
-            wanted.append((suggestion, row, np.flatnonzero(graphs.focus_mask[row]).tolist()))
-        if not wanted:
+        alerts = [
+            one
+            for one in advice.alerts
+            if one.action is not None and one.ego_id in row_of and self._samples(index, one)
+        ]
+        suggestions = [one for one in changed if self._samples(index, one)]
+        if not alerts and not suggestions:
             return
-        plans = self._plans(
-            frame, advice, [(row, slot) for _, row, many in wanted for slot in many]
-        )
+        slots = {
+            one: np.flatnonzero(graphs.focus_mask[row_of[one.ego_id]]).tolist()
+            for one in suggestions
+        }
+        pairs = [(row_of[one.ego_id], slot) for one, many in slots.items() for slot in many]
+        clears = [(row_of[one.ego_id], FIRST) for one in alerts if one.action == CLEAR]
+        plans = iter(self._plans(frame, advice, pairs + clears))
+        changes: list[Change] = [next(plans) for _ in pairs]
+        changes += [
+            replace(next(plans), at_least=True) if one.action == CLEAR else self._brake(one)
+            for one in alerts
+        ]
         futures = iter(
-            self._simulator.branch([(), *((plan,) for plan in plans)], self._settings.horizon_s)
+            self._simulator.branch([(), *((one,) for one in changes)], self._settings.horizon_s)
         )
         as_it_is = next(futures)
-        for what, row, slots in wanted:
-            changed = [next(futures) for _ in slots]
-            facts: Line = {"frame": index, "time_s": frame.scene.time_s, "ego_id": what.ego_id}
-            names = [_slot_id(graphs, row, slot) for slot in slots]
-            if isinstance(what, Alert):
-                facts |= {"about": "alert", "alert_id": what.alert_id, "type": what.type}
-                facts |= {"other_id": what.other_id, "obeyed_slot_id": names[0]}
-                judge = _alert_judge(what)
-            else:
-                advised = _advised_slot(what, row, graphs)
-                facts |= {"about": "suggestion", "action": what.action}
-                facts |= {"slot_id": _slot_id(graphs, row, advised), "other_id": what.slot_id}
-                place = slots.index(advised)
-                judge = _suggestion_judge(what, graphs, row, slots, place, self._settings)
-            self._asked.append(_Asked(index, facts, as_it_is, changed, judge))
+        now = {"frame": index, "time_s": frame.scene.time_s}
+        for one in suggestions:
+            row, of_slots = row_of[one.ego_id], slots[one]
+            advised = _advised_slot(one, row, graphs)
+            facts: Line = now | {"ego_id": one.ego_id, "about": "suggestion", "action": one.action}
+            facts |= {"slot_id": _slot_id(graphs, row, advised), "other_id": one.slot_id}
+            place = of_slots.index(advised)
+            judge = _suggestion_judge(one, graphs, row, of_slots, place, self._settings)
+            driven = [next(futures) for _ in of_slots]
+            self._asked.append(_Asked(index, facts, as_it_is, driven, judge))
+        for one in alerts:
+            facts = now | {"ego_id": one.ego_id, "about": "alert", "alert_id": one.alert_id}
+            facts |= {"type": one.type, "other_id": one.other_id, "action": one.action}
+            self._asked.append(
+                _Asked(index, facts, as_it_is, [next(futures)], self._alert_judge(one))
+            )
+
+    def _brake(self, alert: Alert) -> GiveWay:
+        assert alert.room_m is not None and alert.open_s is not None, "who brakes knows for what"
+        return GiveWay(
+            alert.ego_id, self._settings.reaction_s, alert.room_m, alert.open_s, HARD_BRAKING_MPS2
+        )
+
+    def _alert_judge(self, alert: Alert) -> Callable[[Branch, list[Branch]], Line]:
+        reaction_s = self._settings.reaction_s
+        back_s = reaction_s + DT_S * PROFILE_FRAMES if alert.open_s is None else alert.open_s
+
+        def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
+            until_s = max(back_s, reaction_s) + reaction_s
+            return asdict(judge_alert(as_it_is, changed[0], alert.ego_id, until_s))
+
+        return judge
 
     def _samples(self, index: int, what: Alert | Suggestion) -> bool:
         other = what.other_id if isinstance(what, Alert) else what.slot_id
@@ -158,6 +193,8 @@ class WhatIf:
 
     def _plans(self, frame: Frame, advice: Advice, pairs: list[tuple[int, int]]) -> list[Plan]:
         """For pairs of a graph and one of its slots."""
+        if not pairs:
+            return []
         graphs, settings = advice.prediction.graphs, self._settings
         chances = advice.prediction.slot_probability
         assert graphs is not None and chances is not None
@@ -193,20 +230,6 @@ def _advised_slot(suggestion: Suggestion, row: int, graphs: SemanticGraphs) -> i
         return YIELD
     rear = [graphs.ids[v] if v >= 0 else None for v in graphs.rear[row].tolist()]
     return rear.index(suggestion.slot_id)
-
-
-def _slot_advised(
-    ego_id: str, row: int, graphs: SemanticGraphs, suggestions: Sequence[Suggestion]
-) -> int:
-    own = [one for one in suggestions if one.ego_id == ego_id]
-    return _advised_slot(own[0], row, graphs) if own else YIELD
-
-
-def _alert_judge(alert: Alert) -> Callable[[Branch, list[Branch]], Line]:
-    def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
-        return asdict(judge_alert(as_it_is, changed[0], alert.ego_id))
-
-    return judge
 
 
 def _suggestion_judge(

@@ -15,16 +15,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from hatn_sim.datatypes import BoolArray, Branch, Change, FloatArray, Lawful, Plan
+from hatn_sim.datatypes import BoolArray, Branch, Change, FloatArray, Lawful
 from hatn_sim.simulators.sumo_messages import BranchEnded, BranchesStarted
+from hatn_sim.simulators.sumo_obey import Obedience
 from hatn_sim.simulators.sumo_routes import RouteTracker
-from hatn_sim.simulators.sumo_rows import (
-    INVALID_M,
-    OBEY_SPEED_MODE,
-    OWN_SPEED_MODE,
-    ROUNDING_MPS,
-    centred,
-)
+from hatn_sim.simulators.sumo_rows import INVALID_M, ROUNDING_MPS, centred
 
 if TYPE_CHECKING:
     from hatn_sim.simulators.forks import Forks
@@ -110,12 +105,10 @@ def drive_branch(
     for change in changes:
         if isinstance(change, Lawful):
             _keep_rules(sumo, change.ego_id)
-    plans = {change.ego_id: change for change in changes if isinstance(change, Plan)}
-    driving, excess_mps = set(commanded), dict[str, float]()
+    obedience = Obedience(sumo, changes, commanded)
     read()
     for step in range(steps):
-        if plans or driving:
-            driving = _follow(sumo, plans, driving, excess_mps, step)
+        obedience.drive(step)
         sumo.simulationStep()
         read()
 
@@ -131,40 +124,6 @@ def _keep_rules(sumo: Any, name: str) -> None:
     for key in LAWLESS:
         if vehicle_type.getParameter(type_id, f"junctionModel.{key}"):
             vehicle_type.setParameter(type_id, f"junctionModel.{key}", KEPT.get(key, "0"))
-
-
-def _follow(
-    sumo: Any,
-    plans: dict[str, Plan],
-    driving: set[str],
-    excess_mps: dict[str, float],
-    step: int,
-) -> set[str]:
-    """Sets the speeds of the step to come. Returns who is driven, now that others are released.
-
-    `excess_mps` keeps how much faster than planned each was at its start.
-    """
-    vehicle = sumo.vehicle
-    present = set(vehicle.getIDList())
-    dt_s: float = sumo.simulation.getDeltaT()
-    speeds_mps: dict[str, float] = {}
-    for name, plan in plans.items():
-        place = step - round(plan.start_s / dt_s)
-        if name in present and 0 <= place < len(plan.speed_mps):
-            planned_mps = float(plan.speed_mps[place])
-            if plan.blend_s > 0.0:
-                if name not in excess_mps:
-                    excess_mps[name] = vehicle.getSpeed(name) - planned_mps
-                planned_mps += excess_mps[name] * max(1.0 - (place + 1) * dt_s / plan.blend_s, 0.0)
-            speeds_mps[name] = max(planned_mps, 0.0)
-    for name in (driving - speeds_mps.keys()) & present:
-        vehicle.setSpeed(name, -1.0)
-        vehicle.setSpeedMode(name, OWN_SPEED_MODE)
-    for name, speed_mps in speeds_mps.items():
-        if name not in driving:
-            vehicle.setSpeedMode(name, OBEY_SPEED_MODE)
-        vehicle.setSpeed(name, speed_mps)
-    return set(speeds_mps)
 
 
 class _Reader:
