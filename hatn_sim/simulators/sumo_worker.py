@@ -163,9 +163,7 @@ class Simulation:
 
     def answer(
         self, message: object
-    ) -> (
-        RawFrame | Advanced | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned
-    ):
+    ) -> RawFrame | Advanced | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned:
         """What is asked without time passing; else the frame after a step of commands."""
         self._branches.reap()
         match message:
