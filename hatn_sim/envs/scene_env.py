@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from hatn_sim.datatypes import DT_S, BoolArray, Prediction, Predictor
+from hatn_sim.datatypes import DT_S, BoolArray, Predictor
 from hatn_sim.envs.action import (
     Slots,
     acceleration_command,
@@ -24,7 +24,7 @@ from hatn_sim.envs.ego import begin_episode
 from hatn_sim.envs.episode import TERMINAL, Episode
 from hatn_sim.envs.errors import EpisodeOverError, NeedsResetError, OptionError, RenderError
 from hatn_sim.envs.features import observation_space, observation_table
-from hatn_sim.envs.mind import Asked, conclude, foresee_all, glance, open_mind, slot_profile
+from hatn_sim.envs.mind import conclude, glance, open_mind, slot_profile
 from hatn_sim.envs.observation import (
     Ego,
     Observation,
@@ -36,6 +36,7 @@ from hatn_sim.envs.options import read_options
 from hatn_sim.envs.reward import Terms
 from hatn_sim.envs.seen import Seen
 from hatn_sim.envs.traffic import ego_of, scenario_of, warm_up_s
+from hatn_sim.envs.turns import Turn, taken
 from hatn_sim.errors import InputError
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
 from hatn_sim.predictors.find import load_predictor
@@ -45,11 +46,8 @@ from hatn_sim.traffic import open_traffic
 if TYPE_CHECKING:
     from hatn_sim.envs.view import View
 
-Result = TypeVar("Result")
+Reset = tuple[Observation, dict[str, Any]]
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
-Turn = Generator[Asked | None, Prediction | None, Result]
-"""A part of an episode, up to its result: it gives way once where the simulator has been told what
-to do and others can be told meanwhile, and then for each prediction that it asks for."""
 
 
 class SceneEnv(gymnasium.Env[Observation, Any]):
@@ -97,16 +95,14 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         self.action_space = action_space(form)
         space: Any = observation_space(self.options.observation_form, form == "slot")
         self.observation_space = space
-        self._predictor = _predictor(self.options.predictor)
+        self._predictor = predictor_of(self.options.predictor)
         self._simulator = open_traffic(self.scenario)
         self._episode: Episode | None = None
         self._view: View | None = None
 
     # -- gymnasium ------------------------------------------------------------------------------
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Reset:
         """A new episode, of this seed or of one drawn from the environment's random numbers.
 
         Raises EgoError where the ego never comes, OptionError where anything is in `options`; else
@@ -117,10 +113,11 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
                 f"reset: expected no options, found {sorted(options)}; give them when making the "
                 "environment"
             )
-        return self._alone(self.opening(seed))
+        return taken([self.opening(seed)])[0]
 
-    def opening(self, seed: int | None = None) -> Turn[tuple[Observation, dict[str, Any]]]:
+    def opening(self, seed: int | None = None) -> Turn[Reset]:
         """What `reset` does, as a `Turn`."""
+        yield None
         super().reset(seed=seed)
         self._episode = None
         drawn = int(self.np_random.integers(MAX_SEED + 1))
@@ -156,7 +153,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
 
         Raises NeedsResetError, EpisodeOverError, ActionError; else as the simulator's `step`.
         """
-        return self._alone(self.turn(action))
+        return taken([self.turn(action)])[0]
 
     def turn(self, action: Any) -> Turn[Step]:
         """What `step` does, as a `Turn`; one that is not finished ends the episode."""
@@ -167,6 +164,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             )
         plan = self._plan(episode, action)
         terms = Terms()
+        yield None
         try:
             count = self.options.frames_per_step
             come = driven(self._simulator, episode.ego_id, episode.frame, plan, count)
@@ -190,18 +188,6 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             self._show(episode)
         cut = episode.is_over and not is_terminal
         return observation, reward, is_terminal, cut, self._info(episode, terms)
-
-    @staticmethod
-    def _alone(turn: Turn[Result]) -> Result:
-        """The result of a turn with nobody beside it."""
-        prediction = None
-        try:
-            while True:
-                asked = turn.send(prediction)
-                prediction = None if asked is None else foresee_all([asked])[0]
-        except StopIteration as done:
-            result: Result = done.value
-            return result
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The moment as a picture [height, width, 3] in the mode `rgb_array`.
@@ -325,7 +311,8 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         self._view.show(picture, self.metadata["render_fps"])
 
 
-def _predictor(named: str | Predictor | None) -> Predictor | None:
+def predictor_of(named: str | Predictor | None) -> Predictor | None:
+    """The predictor of an option. Raises OptionError for an unknown name."""
     if not isinstance(named, str):
         return named
     try:
