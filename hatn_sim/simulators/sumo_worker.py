@@ -47,6 +47,7 @@ from hatn_sim.simulators.sumo_messages import (
     Failed,
     JunctionFoes,
     LaneFoes,
+    Leave,
     RawFrame,
     Refused,
     Spawn,
@@ -450,6 +451,8 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         reply(Started(simulation.lane_table, first, simulation.cannot_branch))
         while True:
             message = pickle.load(requests)
+            if isinstance(message, Leave):
+                return
             try:
                 answer = simulation.answer(message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
