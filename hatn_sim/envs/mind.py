@@ -45,6 +45,7 @@ class Mind:
     adviser: Adviser
     road: Road
     state: AdviserState
+    advises: bool = True
     stopped: frozenset[str] = frozenset()  # who has stood at the stop line ahead
 
 
@@ -60,10 +61,12 @@ Asked = tuple[Mind, Scene]
 """A mind that wants a prediction, and the scene that it has taken in last."""
 
 
-def open_mind(predictor: Predictor, lines: LineSource, ego_id: str, road: Road) -> Mind:
-    """Nothing seen yet; advice is for the ego alone."""
+def open_mind(
+    predictor: Predictor, lines: LineSource, ego_id: str, road: Road, *, advises: bool = True
+) -> Mind:
+    """Nothing seen yet; advice is for the ego alone, or for nobody."""
     adviser = Adviser(predictor, lines, frozenset({ego_id}))
-    return Mind(adviser, road, begin(adviser, road))
+    return Mind(adviser, road, begin(adviser, road), advises)
 
 
 def glance(mind: Mind, frame: Frame) -> Mind:
@@ -95,7 +98,9 @@ def foresee_all(asked: Sequence[Asked]) -> list[Prediction]:
 
 def conclude(mind: Mind, scene: Scene, prediction: Prediction) -> tuple[Mind, Thought]:
     """What to make of a prediction. Graphs are built here where the predictor has none."""
-    state, advice = advise(mind.adviser, mind.state, scene, prediction)
+    state, advice = mind.state, Advice(prediction, (), ())
+    if mind.advises:
+        state, advice = advise(mind.adviser, state, scene, prediction)
     seen = state.perception.seen
     graphs, lines = prediction.graphs, prediction.lines
     if graphs is None or lines is None:

@@ -136,7 +136,8 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         mind = None
         if self._predictor is not None:
             lines = cast(LineSource, self.options.lines)
-            mind = open_mind(self._predictor, lines, ego_id, road)
+            advises = self.options.advice
+            mind = open_mind(self._predictor, lines, ego_id, road, advises=advises)
             for frame in frames[:-1]:
                 mind = glance(mind, frame)
         episode = Episode(ego_id, number, road, frames[-1], mind)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from hatn_sim.datatypes import (
+    HORIZON_FRAMES,
     FloatArray,
     IntArray,
     Prediction,
@@ -116,7 +117,9 @@ class Hatn:
         components = self.weights.sgn.settings.components
         fallback = np.ones(count, dtype=np.bool_)
         fallback[graphs.ego] = False
-        physics = fallback_motion(seen.tracks)[:, None]
+        physics = np.zeros((count, 1, HORIZON_FRAMES, 2))
+        if fallback.any():
+            physics = fallback_motion(seen.tracks)[:, None]
         xy, chance = physics, np.ones((count, 1))
         weight = np.full((count, components), 1.0 / components)
         mean = np.repeat(3.0 * seen.scene.speed_mps[:, None], components, axis=1)
