@@ -20,7 +20,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import accumulate
 from typing import Any, Protocol
 
 import libsumo
@@ -29,13 +28,8 @@ import numpy as np
 from hatn_sim.datatypes import Kind
 from hatn_sim.simulators.sumo_branch import Branches
 from hatn_sim.simulators.sumo_foes import FoeReader
-from hatn_sim.simulators.sumo_lanes import (
-    CLOSED_SIGNALS,
-    KIND_OF_CLASS,
-    LaneTable,
-    Link,
-    kinds_of,
-)
+from hatn_sim.simulators.sumo_lane_table import read_lane_table
+from hatn_sim.simulators.sumo_lanes import CLOSED_SIGNALS, KIND_OF_CLASS, LaneTable
 from hatn_sim.simulators.sumo_messages import (
     Advance,
     Advanced,
@@ -56,74 +50,19 @@ from hatn_sim.simulators.sumo_messages import (
     Started,
     Surroundings,
 )
+from hatn_sim.simulators.sumo_reading import Read, Row, frames_of
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
 from hatn_sim.simulators.sumo_rows import (
     INVALID_M,
     OBEY_SPEED_MODE,
     OWN_SPEED_MODE,
     ROUNDING_MPS,
-    centred,
 )
 
 SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
 """Of a vehicle without a colour of its own; its type's counts then."""
-COLUMNS = 11
-_Row = tuple[float, ...]
-"""Of a road user: front x, y, compass angle, and from there on as in `RawFrame`."""
-_Read = tuple[list[_Row], Callable[..., RawFrame]]
-"""What was read of a moment: the rows, and the frame when it is given its rows."""
 PEDESTRIAN_PREFIX = "person:"
 """Persons and vehicles may bear the same name; in a scene no two road users may."""
-
-
-def read_lane_table() -> LaneTable:
-    """Every lane of the running simulation's net, those for pedestrians only left out."""
-    lane = libsumo.lane
-    kinds = {lane_id: _allowed_kinds(lane_id) for lane_id in lane.getIDList()}
-    ids = tuple(key for key, value in kinds.items() if value - {Kind.PEDESTRIAN})
-    signals = _signal_indices()
-    shapes = [lane.getShape(lane_id) for lane_id in ids]
-    links: list[tuple[Link, ...]] = []
-    for lane_id in ids:
-        own: list[Link] = []
-        for approached, _, _, _, via, state, direction, _ in lane.getLinks(lane_id):
-            successor = via or approached
-            if kinds[successor] - {Kind.PEDESTRIAN}:
-                own.append(Link(successor, state, direction, signals.get((lane_id, approached))))
-        links.append(tuple(own))
-    return LaneTable(
-        ids=ids,
-        point_counts=tuple(len(shape) for shape in shapes),
-        xy_m=np.array([point[:2] for shape in shapes for point in shape], np.float64).reshape(
-            -1, 2
-        ),
-        length_m=tuple(lane.getLength(lane_id) for lane_id in ids),
-        width_m=tuple(lane.getWidth(lane_id) for lane_id in ids),
-        speed_limit_mps=tuple(lane.getMaxSpeed(lane_id) for lane_id in ids),
-        kinds=tuple(kinds[lane_id] for lane_id in ids),
-        links=tuple(links),
-    )
-
-
-def _allowed_kinds(lane_id: str) -> frozenset[Kind]:
-    allowed = libsumo.lane.getAllowed(lane_id)
-    if allowed:
-        return kinds_of(allowed)
-    # SUMO says nothing both where all are allowed and where nobody is.
-    return frozenset() if libsumo.lane.getDisallowed(lane_id) else frozenset(Kind)
-
-
-def _signal_indices() -> dict[tuple[str, str], int]:
-    """(lane, lane approached) -> index of its signal among those of all traffic lights."""
-    indices: dict[tuple[str, str], int] = {}
-    offset = 0
-    for light in libsumo.trafficlight.getIDList():
-        groups = libsumo.trafficlight.getControlledLinks(light)
-        for place, group in enumerate(groups):
-            for source, target, _ in group:
-                indices[source, target] = offset + place
-        offset += len(libsumo.trafficlight.getRedYellowGreenState(light))
-    return indices
 
 
 class Simulation:
@@ -131,7 +70,7 @@ class Simulation:
 
     def __init__(self, options: Sequence[str]) -> None:
         libsumo.start(["sumo", *options])
-        self.lane_table = read_lane_table()
+        self.lane_table = read_lane_table(libsumo)
         self._tracker = RouteTracker(
             LaneGraph(self.lane_table), _edges_and_lanes, _gap_to_lane_end_m
         )
@@ -192,7 +131,7 @@ class Simulation:
 
     def advance(self, commands: Sequence[Sequence[tuple[str, float]]], kept: int) -> Advanced:
         """A step for each list of commands, while there is somebody to drive."""
-        read: list[_Read] = []
+        read: list[Read] = []
         for left, wanted in zip(range(len(commands), 0, -1), commands, strict=True):
             self.step(wanted)
             is_last = self._done
@@ -202,7 +141,7 @@ class Simulation:
                 self._glance()
             if is_last:
                 break
-        return Advanced(_frames(read))
+        return Advanced(frames_of(read))
 
     def _glance(self) -> None:
         """As `observe` for all that has an effect on frames to come, and on SUMO."""
@@ -232,9 +171,9 @@ class Simulation:
 
     def observe(self, names: Sequence[str] | None = None) -> RawFrame:
         """What is on the road now: everybody, or the vehicles named."""
-        return _frames([self._read(names)])[0]
+        return frames_of([self._read(names)])[0]
 
-    def _read(self, names: Sequence[str] | None = None) -> _Read:
+    def _read(self, names: Sequence[str] | None = None) -> Read:
         simulation = libsumo.simulation
         arrived = self._forget()
         ids, rows, routes = self._vehicles(libsumo.vehicle.getIDList() if names is None else names)
@@ -294,7 +233,7 @@ class Simulation:
         self._branches.end()
         libsumo.close()
 
-    def _emergency_braking(self, ids: Sequence[str], rows: Sequence[_Row]) -> tuple[str, ...]:
+    def _emergency_braking(self, ids: Sequence[str], rows: Sequence[Row]) -> tuple[str, ...]:
         """The vehicles that brake as hard as they can, which SUMO warns of but gives no list of.
 
         Its list of emergency stops is another thing: vehicles that a dead end surprises.
@@ -312,7 +251,7 @@ class Simulation:
             if lost >= libsumo.vehicle.getEmergencyDecel(name) * dt_s - ROUNDING_MPS
         )
 
-    def _vehicles(self, names: Sequence[str]) -> tuple[list[str], list[_Row], list[int]]:
+    def _vehicles(self, names: Sequence[str]) -> tuple[list[str], list[Row], list[int]]:
         vehicle = libsumo.vehicle
         get_position, get_angle, get_speed = (
             vehicle.getPosition, vehicle.getAngle, vehicle.getSpeed,
@@ -322,7 +261,7 @@ class Simulation:
         )  # fmt: skip
         looks, route_index = self._looks, self._tracker.index
         ids: list[str] = []
-        rows: list[_Row] = []
+        rows: list[Row] = []
         routes: list[int] = []
         for name in names:
             x_m, y_m = get_position(name)
@@ -340,7 +279,7 @@ class Simulation:
 
     @staticmethod
     def _add_pedestrians(
-        people: Sequence[str], ids: list[str], rows: list[_Row], routes: list[int]
+        people: Sequence[str], ids: list[str], rows: list[Row], routes: list[int]
     ) -> None:
         """Appends the persons on foot."""
         person = libsumo.person
@@ -365,17 +304,6 @@ def _look(domain: Any, name: str) -> tuple[float, ...]:
         colour = libsumo.vehicletype.getColor(domain.getTypeID(name))
     red, green, blue = colour[:3]
     return (float(domain.getLength(name)), float(domain.getWidth(name)), kind, red, green, blue)
-
-
-def _frames(read: Sequence[_Read]) -> tuple[RawFrame, ...]:
-    """What was read, box centre and yaw in place of SUMO's front bumper and compass angle."""
-    every = np.array([row for rows, _ in read for row in rows], np.float64).reshape(-1, COLUMNS)
-    every[:, :2], every[:, 2] = centred(every[:, :2], every[:, 2], every[:, 5])
-    ends = accumulate(len(rows) for rows, _ in read)
-    return tuple(
-        frame(rows=every[end - len(rows) : end])
-        for (rows, frame), end in zip(read, ends, strict=True)
-    )
 
 
 def _collisions(persons: frozenset[str]) -> tuple[tuple[str, str], ...]:
