@@ -1,9 +1,11 @@
 """The process in which SUMO lives: `python -m hatn_sim.simulators.sumo_worker`.
 
 It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_process.py` in pickles
-over its standard input and output. The first message it reads are SUMO's options; it answers with
-`Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
-commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
+over its standard input and output. The first messages it reads are `Surroundings` and SUMO's
+options; it answers with `Started`, or with `Refused` where SUMO does not take them. Every further
+message is a list of commands for one step, (vehicle, acceleration in m/s²), answered with a
+`RawFrame`, or `Failed`; `Advance` asks for several steps at once, for the pipe takes longer than
+many a step.
 `AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes; nor does it
 for `Spawn`, `AwaitBranch` and `StartBranches`, which forks children that drive on by themselves.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
@@ -26,14 +28,11 @@ import numpy as np
 from hatn_sim.datatypes import Kind
 from hatn_sim.simulators.sumo_branch import Branches
 from hatn_sim.simulators.sumo_foes import FoeReader
-from hatn_sim.simulators.sumo_lanes import (
-    CLOSED_SIGNALS,
-    KIND_OF_CLASS,
-    LaneTable,
-    Link,
-    kinds_of,
-)
+from hatn_sim.simulators.sumo_lane_table import read_lane_table
+from hatn_sim.simulators.sumo_lanes import CLOSED_SIGNALS, KIND_OF_CLASS, LaneTable
 from hatn_sim.simulators.sumo_messages import (
+    Advance,
+    Advanced,
     AskFoes,
     AskLaneFoes,
     AwaitBranch,
@@ -42,20 +41,22 @@ from hatn_sim.simulators.sumo_messages import (
     Failed,
     JunctionFoes,
     LaneFoes,
+    Leave,
     RawFrame,
     Refused,
     Spawn,
     Spawned,
     StartBranches,
     Started,
+    Surroundings,
 )
+from hatn_sim.simulators.sumo_reading import Read, Row, frames_of
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
 from hatn_sim.simulators.sumo_rows import (
     INVALID_M,
     OBEY_SPEED_MODE,
     OWN_SPEED_MODE,
     ROUNDING_MPS,
-    centred,
 )
 
 SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
@@ -64,62 +65,12 @@ PEDESTRIAN_PREFIX = "person:"
 """Persons and vehicles may bear the same name; in a scene no two road users may."""
 
 
-def read_lane_table() -> LaneTable:
-    """Every lane of the running simulation's net, those for pedestrians only left out."""
-    lane = libsumo.lane
-    kinds = {lane_id: _allowed_kinds(lane_id) for lane_id in lane.getIDList()}
-    ids = tuple(key for key, value in kinds.items() if value - {Kind.PEDESTRIAN})
-    signals = _signal_indices()
-    shapes = [lane.getShape(lane_id) for lane_id in ids]
-    links: list[tuple[Link, ...]] = []
-    for lane_id in ids:
-        own: list[Link] = []
-        for approached, _, _, _, via, state, direction, _ in lane.getLinks(lane_id):
-            successor = via or approached
-            if kinds[successor] - {Kind.PEDESTRIAN}:
-                own.append(Link(successor, state, direction, signals.get((lane_id, approached))))
-        links.append(tuple(own))
-    return LaneTable(
-        ids=ids,
-        point_counts=tuple(len(shape) for shape in shapes),
-        xy_m=np.array([point[:2] for shape in shapes for point in shape], np.float64).reshape(
-            -1, 2
-        ),
-        length_m=tuple(lane.getLength(lane_id) for lane_id in ids),
-        width_m=tuple(lane.getWidth(lane_id) for lane_id in ids),
-        speed_limit_mps=tuple(lane.getMaxSpeed(lane_id) for lane_id in ids),
-        kinds=tuple(kinds[lane_id] for lane_id in ids),
-        links=tuple(links),
-    )
-
-
-def _allowed_kinds(lane_id: str) -> frozenset[Kind]:
-    allowed = libsumo.lane.getAllowed(lane_id)
-    if allowed:
-        return kinds_of(allowed)
-    # SUMO says nothing both where all are allowed and where nobody is.
-    return frozenset() if libsumo.lane.getDisallowed(lane_id) else frozenset(Kind)
-
-
-def _signal_indices() -> dict[tuple[str, str], int]:
-    """(lane, lane approached) -> index of its signal among those of all traffic lights."""
-    indices: dict[tuple[str, str], int] = {}
-    offset = 0
-    for light in libsumo.trafficlight.getIDList():
-        groups = libsumo.trafficlight.getControlledLinks(light)
-        for place, group in enumerate(groups):
-            for source, target, _ in group:
-                indices[source, target] = offset + place
-        offset += len(libsumo.trafficlight.getRedYellowGreenState(light))
-    return indices
-
-
 class Simulation:
     """The one simulation of this process, from the start on."""
 
     def __init__(self, options: Sequence[str]) -> None:
         libsumo.start(["sumo", *options])
-        self.lane_table = read_lane_table()
+        self.lane_table = read_lane_table(libsumo)
         self._tracker = RouteTracker(
             LaneGraph(self.lane_table), _edges_and_lanes, _gap_to_lane_end_m
         )
@@ -158,7 +109,7 @@ class Simulation:
 
     def answer(
         self, message: object
-    ) -> RawFrame | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned:
+    ) -> RawFrame | Advanced | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned:
         """What is asked without time passing; else the frame after a step of commands."""
         self._branches.reap()
         match message:
@@ -168,6 +119,8 @@ class Simulation:
                 return self._branches.outcome(number)
             case Spawn(name, like):
                 return self.spawn(name, like)
+            case Advance(commands, kept):
+                return self.advance(commands, kept)
             case AskFoes(reach_m):
                 return self.junction_foes(reach_m)
             case AskLaneFoes():
@@ -176,24 +129,64 @@ class Simulation:
                 self.step(message)  # type: ignore[arg-type]  # a list of commands
                 return self.observe()
 
-    def observe(self, names: Sequence[str] | None = None) -> RawFrame:
-        """What is on the road now: everybody, or the vehicles named."""
-        simulation = libsumo.simulation
-        arrived = tuple(simulation.getArrivedIDList())
+    def advance(self, commands: Sequence[Sequence[tuple[str, float]]], kept: int) -> Advanced:
+        """A step for each list of commands, while there is somebody to drive."""
+        read: list[Read] = []
+        for left, wanted in zip(range(len(commands), 0, -1), commands, strict=True):
+            self.step(wanted)
+            is_last = self._done
+            if is_last or left <= kept:
+                read.append(self._read())
+            else:
+                self._glance()
+            if is_last:
+                break
+        return Advanced(frames_of(read))
+
+    def _glance(self) -> None:
+        """As `observe` for all that has an effect on frames to come, and on SUMO."""
+        vehicle, track = libsumo.vehicle, self._tracker.index
+        get_position, get_speed = vehicle.getPosition, vehicle.getSpeed
+        get_lane, get_route = vehicle.getLaneID, vehicle.getRouteID
+        speeds_mps: dict[str, float] = {}
+        self._forget()
+        for name in vehicle.getIDList():
+            if get_position(name)[0] >= INVALID_M:
+                speeds_mps[name] = get_speed(name)
+                track(name, get_lane(name), get_route(name))
+        self._speeds_mps = speeds_mps
+
+    def _forget(self) -> tuple[str, ...]:
+        """Drops those who have arrived; they are told."""
+        arrived = tuple(libsumo.simulation.getArrivedIDList())
         for vehicle in arrived:
             self._tracker.forget(vehicle)
             self._looks.pop(vehicle, None)
+        return arrived
+
+    @property
+    def _done(self) -> bool:
+        simulation = libsumo.simulation
+        return simulation.getMinExpectedNumber() == 0 or simulation.getTime() >= self._end_s
+
+    def observe(self, names: Sequence[str] | None = None) -> RawFrame:
+        """What is on the road now: everybody, or the vehicles named."""
+        return frames_of([self._read(names)])[0]
+
+    def _read(self, names: Sequence[str] | None = None) -> Read:
+        simulation = libsumo.simulation
+        arrived = self._forget()
         ids, rows, routes = self._vehicles(libsumo.vehicle.getIDList() if names is None else names)
         emergency_braking = self._emergency_braking(ids, rows)
-        persons = frozenset(libsumo.person.getIDList()).difference(ids)
-        self._add_pedestrians(ids, rows, routes)
+        people = libsumo.person.getIDList()
+        persons = frozenset(people).difference(ids)
+        self._add_pedestrians(people, ids, rows, routes)
         new_routes = tuple(self._tracker.routes[self._routes_sent :])
         self._routes_sent += len(new_routes)
-        time_s = simulation.getTime()
-        return RawFrame(
-            time_s=time_s,
+        return rows, partial(
+            RawFrame,
+            time_s=simulation.getTime(),
             ids=tuple(ids),
-            rows=_centred(np.array(rows, np.float64).reshape(len(ids), 11)),
             routes=tuple(routes),
             new_routes=new_routes,
             signal_closed=np.array(
@@ -209,7 +202,7 @@ class Simulation:
             departed=tuple(simulation.getDepartedIDList()),
             arrived=arrived,
             teleported=tuple(simulation.getStartingTeleportIDList()),
-            done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
+            done=self._done,
             sumo_s=self._sumo_s,
         )
 
@@ -240,9 +233,7 @@ class Simulation:
         self._branches.end()
         libsumo.close()
 
-    def _emergency_braking(
-        self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
-    ) -> tuple[str, ...]:
+    def _emergency_braking(self, ids: Sequence[str], rows: Sequence[Row]) -> tuple[str, ...]:
         """The vehicles that brake as hard as they can, which SUMO warns of but gives no list of.
 
         Its list of emergency stops is another thing: vehicles that a dead end surprises.
@@ -260,9 +251,7 @@ class Simulation:
             if lost >= libsumo.vehicle.getEmergencyDecel(name) * dt_s - ROUNDING_MPS
         )
 
-    def _vehicles(
-        self, names: Sequence[str]
-    ) -> tuple[list[str], list[tuple[float, ...]], list[int]]:
+    def _vehicles(self, names: Sequence[str]) -> tuple[list[str], list[Row], list[int]]:
         vehicle = libsumo.vehicle
         get_position, get_angle, get_speed = (
             vehicle.getPosition, vehicle.getAngle, vehicle.getSpeed,
@@ -272,7 +261,7 @@ class Simulation:
         )  # fmt: skip
         looks, route_index = self._looks, self._tracker.index
         ids: list[str] = []
-        rows: list[tuple[float, ...]] = []
+        rows: list[Row] = []
         routes: list[int] = []
         for name in names:
             x_m, y_m = get_position(name)
@@ -289,10 +278,12 @@ class Simulation:
         return ids, rows, routes
 
     @staticmethod
-    def _add_pedestrians(ids: list[str], rows: list[tuple[float, ...]], routes: list[int]) -> None:
+    def _add_pedestrians(
+        people: Sequence[str], ids: list[str], rows: list[Row], routes: list[int]
+    ) -> None:
         """Appends the persons on foot."""
         person = libsumo.person
-        for name in person.getIDList():
+        for name in people:
             x_m, y_m = person.getPosition(name)
             if x_m < INVALID_M or person.getVehicle(name):
                 continue
@@ -313,12 +304,6 @@ def _look(domain: Any, name: str) -> tuple[float, ...]:
         colour = libsumo.vehicletype.getColor(domain.getTypeID(name))
     red, green, blue = colour[:3]
     return (float(domain.getLength(name)), float(domain.getWidth(name)), kind, red, green, blue)
-
-
-def _centred(rows: np.ndarray) -> np.ndarray:
-    """Turns SUMO's front bumper and compass angle into box centre and yaw, in place."""
-    rows[:, :2], rows[:, 2] = centred(rows[:, :2], rows[:, 2], rows[:, 5])
-    return rows
 
 
 def _collisions(persons: frozenset[str]) -> tuple[tuple[str, str], ...]:
@@ -379,6 +364,10 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         pickle.dump(message, replies, protocol=5)
         replies.flush()
 
+    surroundings: Surroundings = pickle.load(requests)
+    os.chdir(surroundings.folder)
+    os.environ.clear()
+    os.environ.update(surroundings.variables)
     options = pickle.load(requests)
     try:
         simulation = start(options)
@@ -390,6 +379,8 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         reply(Started(simulation.lane_table, first, simulation.cannot_branch))
         while True:
             message = pickle.load(requests)
+            if isinstance(message, Leave):
+                return
             try:
                 answer = simulation.answer(message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
@@ -400,5 +391,10 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         simulation.close()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """The life of a worker."""
     serve(Simulation)
+
+
+if __name__ == "__main__":
+    main()
