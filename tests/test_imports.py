@@ -14,7 +14,8 @@ from hatn_sim.evaluation.made_by import NO_PART_IN_RUNS
 PACKAGE = Path(hatn_sim.__file__).parent
 
 HIGHWAY = tuple(
-    f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_places", "_traffic")
+    f"simulators.highway{part}"
+    for part in ("", "_environment", "_lanes", "_places", "_traffic", "_watched")
 )
 
 ONLY_IN = {

@@ -11,9 +11,12 @@ import numpy as np
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
 from hatn_sim.datatypes import Advice, FloatArray, Frame, Predictor, Scene
+from hatn_sim.envs.errors import OptionError
 from hatn_sim.envs.observation import Sight
+from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
 from hatn_sim.loop import Adviser, AdviserState, LineSource, begin, observe, tick
+from hatn_sim.predictors.find import load_predictor
 from hatn_sim.road import Road
 
 NEAREST_FIRST: Final = 0.01
@@ -36,6 +39,16 @@ class Thought:
 
     advice: Advice
     sight: Sight
+
+
+def predictor_of(named: str | Predictor) -> Predictor:
+    """The predictor that an option names, or is. Raises OptionError where there is none such."""
+    if not isinstance(named, str):
+        return named
+    try:
+        return load_predictor(named)
+    except InputError as error:
+        raise OptionError(f"predictor: {error}") from None
 
 
 def open_mind(predictor: Predictor, lines: LineSource, ego_id: str, road: Road) -> Mind:

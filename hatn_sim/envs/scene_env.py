@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from hatn_sim.datatypes import DT_S, BoolArray, Command, Frame, Predictor
+from hatn_sim.datatypes import DT_S, BoolArray, Command, Frame
 from hatn_sim.envs.action import (
     Slots,
     acceleration_command,
@@ -23,7 +23,15 @@ from hatn_sim.envs.action import (
 from hatn_sim.envs.ego import begin_episode
 from hatn_sim.envs.errors import EpisodeOverError, NeedsResetError, OptionError, RenderError
 from hatn_sim.envs.features import observation_space, observation_table
-from hatn_sim.envs.mind import Mind, Thought, glance, open_mind, slot_profile, think
+from hatn_sim.envs.mind import (
+    Mind,
+    Thought,
+    glance,
+    open_mind,
+    predictor_of,
+    slot_profile,
+    think,
+)
 from hatn_sim.envs.observation import (
     Ego,
     Observation,
@@ -36,9 +44,7 @@ from hatn_sim.envs.reward import Terms, has_collided, terms_of
 from hatn_sim.envs.seen import Seen
 from hatn_sim.envs.traffic import ego_of, scenario_of, warm_up_s
 from hatn_sim.envs.way import Way, way_along
-from hatn_sim.errors import InputError
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
-from hatn_sim.predictors.find import load_predictor
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.traffic import open_traffic
 
@@ -121,7 +127,8 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         self.action_space = action_space(form)
         space: Any = observation_space(self.options.observation_form, form == "slot")
         self.observation_space = space
-        self._predictor = _predictor(self.options.predictor)
+        named = self.options.predictor
+        self._predictor = None if named is None else predictor_of(named)
         self._simulator = open_traffic(self.scenario)
         self._episode: _Episode | None = None
         self._view: View | None = None
@@ -373,15 +380,6 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         picture = self._picture(episode)
         assert self._view is not None
         self._view.show(picture, self.metadata["render_fps"])
-
-
-def _predictor(named: str | Predictor | None) -> Predictor | None:
-    if not isinstance(named, str):
-        return named
-    try:
-        return load_predictor(named)
-    except InputError as error:
-        raise OptionError(f"predictor: {error}") from None
 
 
 SceneEnv.__doc__ = (SceneEnv.__doc__ or "").replace(
