@@ -26,6 +26,7 @@ ONLY_IN = {
     "sumolib": (),
     "highway_env": HIGHWAY,
     "gymnasium": ("envs", *HIGHWAY),
+    "pettingzoo": ("envs.parallel_env",),
     "pyarrow": ("log", "recordings"),
     "pyproj": ("recordings",),
     "lanelet2": (),
