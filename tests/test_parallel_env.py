@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
+import shapely.affinity
 from pettingzoo.test import parallel_api_test
 
 from hatn_sim.config import HighwaySource, Scenario, load_scenario
-from hatn_sim.datatypes import Command, Frame
+from hatn_sim.datatypes import Command, Frame, Scene
 from hatn_sim.envs.ego import begin_together
 from hatn_sim.envs.errors import (
     ActionError,
@@ -188,18 +190,39 @@ def test_egos_leave_one_by_one(make: Any) -> None:
         env.step({})
 
 
+def outline(scene: Scene, row: int) -> shapely.Polygon:
+    length, width = scene.size_m[row]
+    turned = shapely.affinity.rotate(
+        shapely.box(-length / 2, -width / 2, length / 2, width / 2),
+        float(scene.yaw_rad[row]),
+        origin=(0.0, 0.0),
+        use_radians=True,
+    )
+    return shapely.affinity.translate(turned, *scene.xy_m[row])
+
+
 def test_those_who_touch_each_other_leave_together(make: Any) -> None:
     env = make(**BARE, egos=5, duration_s=40.0, frames_per_step=1)
-    ends: dict[str, list[tuple[str, float]]] = {"collision": []}
+    collided = 0
     for seed in range(4):
         env.reset(seed=seed)
         while env.agents:
+            # Full speed ahead into the crossing.
             *_, infos = env.step(accelerate(env, 1.0))
-            for name, info in infos.items():
-                ends.setdefault(info["end"], []).append((name, info["time_s"]))
-        if ends["collision"]:
+            scene = next(iter(infos.values()))["seen"].scene
+            outlines = {name: outline(scene, row) for row, name in enumerate(scene.ids)}
+            for name in (name for name, info in infos.items() if info["end"] == "collision"):
+                touched = [
+                    other
+                    for other, shape in outlines.items()
+                    if other != name and shape.distance(outlines[name]) < 0.1
+                ]
+                assert touched
+                assert all(infos[one]["end"] == "collision" for one in touched if one in infos)
+                collided += 1
+        if collided > 1:
             break
-    assert ends["collision"], "nobody touched anybody, at full acceleration into the crossing"
+    assert collided > 1
 
 
 def test_the_same_seed_gives_the_same_steps_and_the_seed_told_repeats_them(make: Any) -> None:
