@@ -16,8 +16,10 @@ import gymnasium
 import numpy as np
 from PIL import Image
 
-import hatn_sim.envs  # noqa: F401 - registers hatn_sim/Intersection-v0 and the others
+import hatn_sim.envs
 from hatn_sim.envs.features import ON_ROAD, OWN, SLOT
+
+gymnasium.register_envs(hatn_sim.envs)  # hatn_sim/Intersection-v0 and the others
 
 Observation = dict[str, np.ndarray]
 Policy = Callable[[Observation], int]

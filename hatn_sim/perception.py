@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -34,15 +35,38 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Perception:
-    """One moment as every predictor sees it."""
+    """One moment as every predictor sees it; what no frame to come hangs on is made when asked."""
 
+    road: Road
     scene: Scene
     tracks: Tracks
     lines: Lines
-    own: Motion  # of every vehicle on its own line
-    leader: IntArray  # [N] the vehicle ahead in the own corridor, -1: none
-    leader_s_m: FloatArray  # [N] its arc length on the follower's line
-    waited_s: FloatArray  # [N] how long it has stood, as far as the tracks go back
+
+    @cached_property
+    def own(self) -> Motion:
+        """Every vehicle on its own line."""
+        lines = self.lines
+        every = np.arange(len(self.scene.ids))
+        return motion_along(self.road, self.tracks, lines.line, lines.s_m, every)
+
+    @property
+    def leader(self) -> IntArray:
+        """The vehicle [N] ahead in the own corridor, -1: none."""
+        return self._leaders[0]
+
+    @property
+    def leader_s_m(self) -> FloatArray:
+        """Its arc length [N] on the follower's line."""
+        return self._leaders[1]
+
+    @cached_property
+    def _leaders(self) -> tuple[IntArray, FloatArray]:
+        return find_leaders(self.road, self.scene, self.lines)
+
+    @cached_property
+    def waited_s(self) -> FloatArray:
+        """How long [N] it has stood, as far as the tracks go back."""
+        return _waited_s(self.tracks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +95,6 @@ def begin(road: Road, choice: LineChoice | None = None) -> PerceptionState:
     known: dict[LineChoice, PerceptionState] = road.shared.setdefault("begin", {})
     if choice not in known:
         nothing = np.zeros(0)
-        shape = (0, HISTORY_FRAMES)
-        motion = Motion(*(np.zeros(shape) for _ in range(5)))
         none = np.zeros(0, dtype=np.int64)
         scene = Scene(
             time_s=0.0,
@@ -87,7 +109,7 @@ def begin(road: Road, choice: LineChoice | None = None) -> PerceptionState:
             signal_closed=np.zeros(0, dtype=np.bool_),
         )
         lines = Lines(none, nothing, nothing, nothing, nothing)
-        seen = Perception(scene, empty_tracks(), lines, motion, none, nothing, nothing)
+        seen = Perception(road, scene, empty_tracks(), lines)
         known[choice] = PerceptionState(road, choice, empty_lines(), seen)
     return known[choice]
 
@@ -108,9 +130,7 @@ def perceive(
     tracks = extend(state.seen.tracks, scene)
     line_state, lines = follow_lines(state.line_state, road, tracks, scene, routes, choice)
     road.touch(line_state.line)
-    own = motion_along(road, tracks, lines.line, lines.s_m, np.arange(len(scene.ids)))
-    leader, leader_s_m = find_leaders(road, scene, lines)
-    seen = Perception(scene, tracks, lines, own, leader, leader_s_m, _waited_s(tracks))
+    seen = Perception(road, scene, tracks, lines)
     after = PerceptionState(road, choice, line_state, seen)
     done[choice] = state, scene, by_route, after
     return after

@@ -16,6 +16,8 @@ from pettingzoo.test import parallel_api_test
 
 from hatn_sim.config import HighwaySource, Scenario, load_scenario
 from hatn_sim.datatypes import Command, Frame, Scene
+from hatn_sim.envs import parallel_env
+from hatn_sim.envs.driving import driven
 from hatn_sim.envs.ego import begin_together
 from hatn_sim.envs.errors import (
     ActionError,
@@ -121,13 +123,19 @@ def test_every_agent_observes_what_a_single_ego_would_in_its_place(
     predictor: str, make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames: list[Frame] = []
-    own = SumoSimulator._frame
 
-    def record(simulator: SumoSimulator, raw: Any) -> Frame:
-        frames.append(own(simulator, raw))
-        return frames[-1]
+    def begin(*given: Any) -> tuple[tuple[str, ...], list[Frame]]:
+        names, first = begin_together(*given)
+        frames.extend(first)
+        return names, first
 
-    monkeypatch.setattr(SumoSimulator, "_frame", record)
+    def drive(*given: Any) -> Callable[[], list[Frame]]:
+        later = list(driven(*given)())
+        frames.extend(later)
+        return lambda: later
+
+    monkeypatch.setattr(parallel_env, "begin_together", begin)
+    monkeypatch.setattr(parallel_env, "driven", drive)
     options = CROSSING | {"predictor": predictor, "action": "acceleration"}
     many = make(**options, egos=3)
     observed, infos = many.reset(seed=4)
@@ -137,10 +145,8 @@ def test_every_agent_observes_what_a_single_ego_would_in_its_place(
         steps.append(observed)
     assert set(observed) == {"ego", "ego2", "ego3"} and not any(i["end"] for i in infos.values())
     for name in many.possible_agents:
-        come = next(k for k, one in enumerate(frames) if set(many.agents) <= set(one.scene.ids))
         single = SceneEnv(**options | {"warm_up_s": 0.0}, ego="taken_over", ego_id=name)
-        # Single egos are there at once: the others' frames before are their history, too.
-        single._simulator = Played(frames[come - 10 :], Road(many._simulator.lanes))
+        single._simulator = Played(frames, Road(many._simulator.lanes))
         monkeypatch.setattr(
             "hatn_sim.envs.scene_env.begin_episode",
             lambda simulator, *_, name=name: (name, [simulator.step() for _ in range(11)]),

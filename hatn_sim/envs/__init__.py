@@ -11,7 +11,8 @@
 
     env = gymnasium.make("hatn_sim/Intersection-v0", predictor="idm", risk="assertive")
 
-`hatn_sim.envs.options` has the table of all options.
+`hatn_sim.envs.options` has the table of all options. `gymnasium.make_vec` makes many of them that
+share one batch of predictions (`hatn_sim.envs.vector_env`).
 """
 
 from __future__ import annotations
@@ -27,4 +28,9 @@ SCENES: Final = {
 }
 
 for _name, _options in SCENES.items():
-    register(_name, entry_point="hatn_sim.envs.scene_env:SceneEnv", kwargs=_options)
+    register(
+        _name,
+        entry_point="hatn_sim.envs.scene_env:SceneEnv",
+        vector_entry_point="hatn_sim.envs.vector_env:SceneVectorEnv",
+        kwargs=_options,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -132,11 +133,16 @@ def observation_space(form: str, has_slots: bool) -> Dict:
     return Dict(spaces)
 
 
-def clipped(values: FloatArray, features: Sequence[Feature]) -> np.ndarray:
+def clipped(values: FloatArray, features: tuple[Feature, ...]) -> np.ndarray:
     """Numbers [..., len(features)] within the ranges of their features, as float32."""
+    low, high = _limits(features)
+    return np.minimum(np.maximum(values.astype(np.float32), low), high)
+
+
+@cache
+def _limits(features: tuple[Feature, ...]) -> tuple[np.ndarray, np.ndarray]:
     low = np.array([one.low for one in features], np.float32)
-    high = np.array([one.high for one in features], np.float32)
-    return np.clip(values.astype(np.float32), low, high)
+    return low, np.array([one.high for one in features], np.float32)
 
 
 def _rows(features: Sequence[Feature], first: int = 0) -> list[str]:

@@ -48,6 +48,7 @@ class Mind:
     adviser: Adviser
     road: Road
     state: AdviserState
+    advises: bool = True
     stopped: frozenset[str] = frozenset()  # who has stood at the stop line ahead
 
 
@@ -63,7 +64,7 @@ Asked = tuple[Mind, Scene]
 """A mind that wants a prediction, and the scene that it has taken in last."""
 
 
-def predictor_of(named: str | Predictor) -> Predictor:
+def predictor_of(named: str | Predictor | None) -> Predictor | None:
     """The predictor that an option names, or is. Raises OptionError where there is none such."""
     if not isinstance(named, str):
         return named
@@ -74,12 +75,17 @@ def predictor_of(named: str | Predictor) -> Predictor:
 
 
 def open_mind(
-    predictor: Predictor, lines: LineSource, ego_id: str | frozenset[str], road: Road
+    predictor: Predictor,
+    lines: LineSource,
+    ego_id: str | frozenset[str],
+    road: Road,
+    *,
+    advises: bool = True,
 ) -> Mind:
-    """Nothing seen yet; advice is for the ego, or for several of them, alone."""
+    """Nothing seen yet; advice is for the ego, or for several of them, alone, or for nobody."""
     egos = frozenset({ego_id}) if isinstance(ego_id, str) else ego_id
     adviser = Adviser(predictor, lines, egos)
-    return Mind(adviser, road, begin(adviser, road))
+    return Mind(adviser, road, begin(adviser, road), advises)
 
 
 def glance(mind: Mind, frame: Frame) -> Mind:
@@ -111,7 +117,9 @@ def foresee_all(asked: Sequence[Asked]) -> list[Prediction]:
 
 def conclude(mind: Mind, scene: Scene, prediction: Prediction) -> tuple[Mind, Thought]:
     """What to make of a prediction. Graphs are built here where the predictor has none."""
-    state, advice = advise(mind.adviser, mind.state, scene, prediction)
+    state, advice = mind.state, Advice(prediction, (), ())
+    if mind.advises:
+        state, advice = advise(mind.adviser, state, scene, prediction)
     seen = state.perception.seen
     graphs, lines = prediction.graphs, prediction.lines
     if graphs is None or lines is None:

@@ -9,6 +9,8 @@ folder, the id of an environment of highway-env, or a `Scenario` |
 | `density`, `risk` | of the scene | how much traffic, and who drives |
 | `predictor` | `"hatn"` | name, `module:Class`, or a predictor; None: nothing is predicted |
 | `lines` | `"inferred"` | `"route"`: the predictor is told everybody's route, an upper bound |
+| `advice` | True | suggestions and alerts for the ego are in `info`; without them a step is \
+faster |
 | `ego` | by the scene | `"spawned"`: one more vehicle `ego` (in highway-env its own); \
 `"taken_over"`: one of those who come anyhow, the only choice in recordings |
 | `ego_id` | none | whom to take over; None: whoever comes next, of recorded vehicles one by lot |
@@ -80,6 +82,7 @@ class EnvOptions:
     risk: str | None = None
     predictor: str | Predictor | None = "hatn"
     lines: str = "inferred"
+    advice: bool = True
     ego: str | None = None
     ego_id: str | None = None
     observation: str | None = None
@@ -145,7 +148,7 @@ def _check(key: str, value: object, hint: Any) -> None:
     kinds = get_args(hint) if get_origin(hint) is UnionType else (hint,)
     plain = tuple(kind for kind in kinds if kind is not Predictor)
     right = _is_number(value) if float in plain and value is not None else isinstance(value, plain)
-    if isinstance(value, bool) or not right:
+    if (isinstance(value, bool) and bool not in kinds) or not right:
         expected = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
         raise OptionError(f"{key}: expected {expected}, found {value!r}; correct it")
     if key in CHOICES and value is not None and value not in CHOICES[key]:

@@ -106,8 +106,7 @@ class SceneParallelEnv(ParallelEnv[str, Observation, Any]):
         for name in self.possible_agents:
             space: Any = observation_space(self.options.observation_form, form == "slot")
             self.observation_spaces[name] = space
-        named = self.options.predictor
-        self._predictor = None if named is None else predictor_of(named)
+        self._predictor = predictor_of(self.options.predictor)
         self._simulator = open_traffic(self.scenario)
         self._random = np.random.default_rng()
         self._episodes: dict[str, Episode] = {}  # of those who are still driving
@@ -149,7 +148,8 @@ class SceneParallelEnv(ParallelEnv[str, Observation, Any]):
         mind = None
         if self._predictor is not None:
             lines = cast(LineSource, self.options.lines)
-            mind = open_mind(self._predictor, lines, frozenset(names), road)
+            advises = self.options.advice
+            mind = open_mind(self._predictor, lines, frozenset(names), road, advises=advises)
             for frame in frames[:-1]:
                 mind = glance(mind, frame)
         episodes = {name: Episode(name, number, road, frames[-1], mind) for name in names}

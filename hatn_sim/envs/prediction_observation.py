@@ -61,7 +61,12 @@ class PredictionObservation(
             self._watched = Watched(env.unwrapped)
         except InputError as error:
             raise OptionError(f"PredictionObservation: {error}") from None
-        self._predictor = predictor_of(predictor)
+        found = predictor_of(predictor)
+        if found is None or not hasattr(found, "observe"):
+            raise OptionError(
+                f"predictor: expected a name, module:Class or a predictor, found {found!r}"
+            )
+        self._predictor = found
         ours = observation_space("slots", has_slots=False)
         self.observation_space = gymnasium.spaces.Dict(
             {OWN_KEY: env.observation_space, **ours.spaces}

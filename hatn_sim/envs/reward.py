@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, Frame
+from hatn_sim.datatypes import DT_S, FloatArray, Frame, Scene
 from hatn_sim.envs.options import RewardWeights
 
 COMFORT_MPS2: Final = 3.0
@@ -41,7 +41,14 @@ class Terms:
     arrival: float = 0.0
 
     def __add__(self, other: Terms) -> Terms:
-        return Terms(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(Terms)))
+        return Terms(
+            self.progress_m + other.progress_m,
+            self.time_s + other.time_s,
+            self.discomfort_s + other.discomfort_s,
+            self.risk_s + other.risk_s,
+            self.collision + other.collision,
+            self.arrival + other.arrival,
+        )
 
     def weighted(self, weights: RewardWeights) -> dict[str, float]:
         """What each adds to the reward, by name."""
@@ -53,15 +60,12 @@ class Terms:
 def terms_of(before: Frame, after: Frame, ego_id: str, progress_m: float, arrived: bool) -> Terms:
     """The terms of one frame; the ego is in `before`."""
     scene = before.scene
-    row = {name: k for k, name in enumerate(after.scene.ids)}
-    to = np.array([row.get(name, -1) for name in scene.ids], dtype=np.int64)
-    stays = to >= 0
-    speed = np.where(stays, after.scene.speed_mps[to], scene.speed_mps)  # who left has not braked
-    acceleration = (speed - scene.speed_mps) / DT_S
+    acceleration = (_speed_mps(scene, after.scene) - scene.speed_mps) / DT_S
     ego = scene.ids.index(ego_id)
     away = scene.xy_m - scene.xy_m[ego]
-    near = (away * away).sum(axis=1) <= NEAR_M**2
-    share = np.clip((-acceleration[near] - HARD_MPS2) / (HARDEST_MPS2 - HARD_MPS2), 0.0, 1.0)
+    near = np.einsum("nx,nx->n", away, away) <= NEAR_M**2
+    hardest_mps2 = -float(acceleration[near].min())
+    share = min(max((hardest_mps2 - HARD_MPS2) / (HARDEST_MPS2 - HARD_MPS2), 0.0), 1.0)
     emergency = after.truth.emergency_braking
     is_emergency = bool(emergency) and any(
         name in emergency for name, close in zip(scene.ids, near.tolist(), strict=True) if close
@@ -70,10 +74,19 @@ def terms_of(before: Frame, after: Frame, ego_id: str, progress_m: float, arrive
         progress_m=progress_m,
         time_s=DT_S,
         discomfort_s=DT_S * min((float(acceleration[ego]) / COMFORT_MPS2) ** 2, MOST_DISCOMFORT),
-        risk_s=DT_S * (1.0 if is_emergency else float(share.max())),
+        risk_s=DT_S * (1.0 if is_emergency else share),
         collision=float(has_collided(after, ego_id)),
         arrival=float(arrived),
     )
+
+
+def _speed_mps(before: Scene, after: Scene) -> FloatArray:
+    """Of the vehicles of the scene before, in the one after; who left has not braked."""
+    if before.ids == after.ids:
+        return after.speed_mps
+    row = {name: k for k, name in enumerate(after.ids)}
+    to = np.array([row.get(name, -1) for name in before.ids], dtype=np.int64)
+    return np.where(to >= 0, after.speed_mps[to], before.speed_mps)
 
 
 def has_collided(frame: Frame, ego_id: str) -> bool:

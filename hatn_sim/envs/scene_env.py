@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import gymnasium
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, BoolArray, Prediction
+from hatn_sim.datatypes import DT_S, BoolArray
 from hatn_sim.envs.action import (
     Slots,
     action_space,
@@ -18,7 +17,7 @@ from hatn_sim.envs.ego import begin_episode
 from hatn_sim.envs.episode import TERMINAL, Episode
 from hatn_sim.envs.errors import EpisodeOverError, NeedsResetError, OptionError, RenderError
 from hatn_sim.envs.features import observation_space, observation_table
-from hatn_sim.envs.mind import Asked, conclude, foresee_all, glance, open_mind, predictor_of
+from hatn_sim.envs.mind import conclude, glance, open_mind, predictor_of
 from hatn_sim.envs.observation import (
     Observation,
 )
@@ -26,6 +25,7 @@ from hatn_sim.envs.options import read_options
 from hatn_sim.envs.reward import Terms
 from hatn_sim.envs.shown import info_of, observation_of, slots_now
 from hatn_sim.envs.traffic import ego_of, scenario_of, warm_up_s
+from hatn_sim.envs.turns import Turn, taken
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.traffic import open_traffic
@@ -33,11 +33,8 @@ from hatn_sim.traffic import open_traffic
 if TYPE_CHECKING:
     from hatn_sim.envs.view import View
 
-Result = TypeVar("Result")
+Reset = tuple[Observation, dict[str, Any]]
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
-Turn = Generator[Asked | None, Prediction | None, Result]
-"""A part of an episode, up to its result: it gives way once where the simulator has been told what
-to do and others can be told meanwhile, and then for each prediction that it asks for."""
 
 
 class SceneEnv(gymnasium.Env[Observation, Any]):
@@ -85,17 +82,14 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         self.action_space = action_space(form)
         space: Any = observation_space(self.options.observation_form, form == "slot")
         self.observation_space = space
-        named = self.options.predictor
-        self._predictor = None if named is None else predictor_of(named)
+        self._predictor = predictor_of(self.options.predictor)
         self._simulator = open_traffic(self.scenario)
         self._episode: Episode | None = None
         self._view: View | None = None
 
     # -- gymnasium ------------------------------------------------------------------------------
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Reset:
         """A new episode, of this seed or of one drawn from the environment's random numbers.
 
         Raises EgoError where the ego never comes, OptionError where anything is in `options`; else
@@ -106,10 +100,11 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
                 f"reset: expected no options, found {sorted(options)}; give them when making the "
                 "environment"
             )
-        return self._alone(self.opening(seed))
+        return taken([self.opening(seed)])[0]
 
-    def opening(self, seed: int | None = None) -> Turn[tuple[Observation, dict[str, Any]]]:
+    def opening(self, seed: int | None = None) -> Turn[Reset]:
         """What `reset` does, as a `Turn`."""
+        yield None
         super().reset(seed=seed)
         self._episode = None
         drawn = int(self.np_random.integers(MAX_SEED + 1))
@@ -128,7 +123,8 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         mind = None
         if self._predictor is not None:
             lines = cast(LineSource, self.options.lines)
-            mind = open_mind(self._predictor, lines, ego_id, road)
+            advises = self.options.advice
+            mind = open_mind(self._predictor, lines, ego_id, road, advises=advises)
             for frame in frames[:-1]:
                 mind = glance(mind, frame)
         episode = Episode(ego_id, number, road, frames[-1], mind)
@@ -145,7 +141,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
 
         Raises NeedsResetError, EpisodeOverError, ActionError; else as the simulator's `step`.
         """
-        return self._alone(self.turn(action))
+        return taken([self.turn(action)])[0]
 
     def turn(self, action: Any) -> Turn[Step]:
         """What `step` does, as a `Turn`; one that is not finished ends the episode."""
@@ -156,6 +152,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             )
         plan = plan_of(episode, action, self.action_space, self.options)
         terms = Terms()
+        yield None
         try:
             count = self.options.frames_per_step
             plans = {episode.ego_id: plan}
@@ -180,18 +177,6 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             self._show(episode)
         cut = episode.is_over and not is_terminal
         return observation, reward, is_terminal, cut, info_of(episode, terms, self.options)
-
-    @staticmethod
-    def _alone(turn: Turn[Result]) -> Result:
-        """The result of a turn with nobody beside it."""
-        prediction = None
-        try:
-            while True:
-                asked = turn.send(prediction)
-                prediction = None if asked is None else foresee_all([asked])[0]
-        except StopIteration as done:
-            result: Result = done.value
-            return result
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The moment as a picture [height, width, 3] in the mode `rgb_array`.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -32,7 +32,7 @@ class Way:
         """The ego is here [2] now, a frame later."""
         low = min(max(int((self.s_m - BACK_M) / STEP_M), 0), len(self.xy_m) - 2)
         near = self.xy_m[low : int((self.s_m + AHEAD_M) / STEP_M) + 2]
-        return replace(self, s_m=_along(near, xy_m) + low * STEP_M)
+        return Way(self.route, self.xy_m, _along(near, xy_m) + low * STEP_M, self.last_junction_s_m)
 
     def is_crossed(self, length_m: float) -> bool:
         """Whether the rear bumper of an ego of this length has left all junctions behind."""
@@ -55,10 +55,10 @@ def way_along(road: Road, route: Route, xy_m: FloatArray) -> Way:
 def _along(points_m: FloatArray, xy_m: FloatArray) -> float:
     """Arc length, from the first of points [P, 2] on, of the nearest place to `xy_m` [2]."""
     away = xy_m - points_m
-    nearest = int((away * away).sum(axis=1).argmin())
+    nearest = int(np.einsum("px,px->p", away, away).argmin())
     first = min(nearest, len(points_m) - 2)
     along = points_m[first + 1] - points_m[first]
-    length_m = max(float(np.linalg.norm(along)), 1e-9)
+    length_m = max(float(np.hypot(*along)), 1e-9)
     # Whoever is beyond an end of the way, or was steered off it, gets no farther than that.
     s_m = STEP_M * first + float(away[first] @ along) / length_m
     return min(max(s_m, 0.0), STEP_M * (len(points_m) - 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from hatn_sim.datatypes import (
+    HORIZON_FRAMES,
     FloatArray,
     IntArray,
     Prediction,
@@ -19,14 +21,18 @@ from hatn_sim.datatypes import (
 from hatn_sim.graph import build_graphs
 from hatn_sim.hatn.edn import EncoderDecoderNetwork
 from hatn_sim.hatn.edn_program import frozen_edn
-from hatn_sim.hatn.inputs import to_map_frame, vehicle_inputs
+from hatn_sim.hatn.inputs import VehicleInputs, to_map_frame, vehicle_inputs
 from hatn_sim.hatn.modes import modes_of
 from hatn_sim.hatn.sgn import GraphBatch, Intention, Repeats
 from hatn_sim.hatn.sgn_program import frozen_sgn
+from hatn_sim.hatn.together import batches_joined, inputs_joined, parts, repeats_joined, rows_of
 from hatn_sim.hatn.weights_io import Weights, load_weights
-from hatn_sim.perception import PerceptionState, begin, perceive
+from hatn_sim.perception import Perception, PerceptionState, begin, perceive
 from hatn_sim.predictors.free_motion import fallback_motion
 from hatn_sim.road import Road
+
+Told = tuple[Intention, FloatArray, FloatArray]
+"""What the networks say of vehicles [E]: the intention, and what `Hatn.drive` gives."""
 
 
 class Hatn:
@@ -53,6 +59,40 @@ class Hatn:
     def predict(self, state: PerceptionState) -> Prediction:
         return self.predict_graphs(state, build_graphs(state.road, state.seen))
 
+    def predict_all(self, states: Sequence[PerceptionState]) -> list[Prediction]:
+        """What `predict` says of each, but for rounding: each network is asked once for all."""
+        graphs = [build_graphs(state.road, state.seen) for state in states]
+        told: list[Told | None] = [None] * len(states)
+        some = [k for k, own in enumerate(graphs) if len(own.ego)]
+        if some:
+            told_some = self._tell([(states[k], graphs[k]) for k in some])
+            for k, one in zip(some, told_some, strict=True):
+                told[k] = one
+        return [
+            self._prediction(state.seen, own, one)
+            for state, own, one in zip(states, graphs, told, strict=True)
+        ]
+
+    @torch.inference_mode()
+    def _tell(self, moments: Sequence[tuple[PerceptionState, SemanticGraphs]]) -> list[Told]:
+        every = [graphs for _, graphs in moments]
+        intention = self._relate(
+            batches_joined([graph_batch(graphs) for graphs in every]),
+            repeats_joined([repeats_of(graphs) for graphs in every]),
+        )
+        inputs = [vehicle_inputs(state.road, state.seen, graphs.ego) for state, graphs in moments]
+        now = [(state.seen.scene, graphs.ego) for state, graphs in moments]
+        future, probability = self._driven(
+            inputs_joined(inputs),
+            np.concatenate([scene.xy_m[ego] for scene, ego in now]),
+            np.concatenate([scene.yaw_rad[ego] for scene, ego in now]),
+            intention,
+        )
+        return [
+            (rows_of(intention, rows), future[rows], probability[rows])
+            for rows in parts([len(graphs.ego) for graphs in every])
+        ]
+
     def predict_graphs(
         self,
         state: PerceptionState,
@@ -63,20 +103,30 @@ class Hatn:
 
         `intention` is what `intend` said of the graphs, if it was asked before.
         """
-        seen = state.seen
+        if not len(graphs.ego):
+            return self._prediction(state.seen, graphs, None)
+        intention = intention or self.intend(graphs)
+        told = (intention, *self.drive(state, graphs.ego, intention))
+        return self._prediction(state.seen, graphs, told)
+
+    def _prediction(
+        self, seen: Perception, graphs: SemanticGraphs, told: Told | None
+    ) -> Prediction:
+        """Of those with a graph what the networks say; `told` is None where there is none."""
         count = len(seen.scene.ids)
         components = self.weights.sgn.settings.components
         fallback = np.ones(count, dtype=np.bool_)
         fallback[graphs.ego] = False
-        physics = fallback_motion(seen.tracks)[:, None]
+        physics = np.zeros((count, 1, HORIZON_FRAMES, 2))
+        if fallback.any():
+            physics = fallback_motion(seen.tracks)[:, None]
         xy, chance = physics, np.ones((count, 1))
         weight = np.full((count, components), 1.0 / components)
         mean = np.repeat(3.0 * seen.scene.speed_mps[:, None], components, axis=1)
         std = np.full((count, components), 3.0)
         slots = np.zeros(graphs.node_mask.shape)
-        if len(graphs.ego):
-            intention = intention or self.intend(graphs)
-            future, probability = self.drive(state, graphs.ego, intention)
+        if told is not None:
+            intention, future, probability = told
             xy = physics.repeat(future.shape[1], axis=1)
             chance = np.eye(1, future.shape[1]).repeat(count, axis=0)
             xy[graphs.ego], chance[graphs.ego] = future, probability
@@ -108,19 +158,23 @@ class Hatn:
         """What the EDN makes of the intention of vehicles [E]: positions [E, K, F, 2] in the map,
         and the probability [E, K] of each mode; where that is 0, the first mode stands again.
         """
+        scene = state.seen.scene
+        inputs = vehicle_inputs(state.road, state.seen, vehicle)
+        return self._driven(inputs, scene.xy_m[vehicle], scene.yaw_rad[vehicle], intention)
+
+    def _driven(
+        self, inputs: VehicleInputs, xy_m: FloatArray, yaw_rad: FloatArray, intention: Intention
+    ) -> tuple[FloatArray, FloatArray]:
         modes = modes_of(intention)
         probability = modes.probability.double().numpy()
         row, mode = np.nonzero(probability > 0.0)
-        inputs = vehicle_inputs(state.road, state.seen, vehicle)
         read = (torch.from_numpy(part[row]) for part in (inputs.history, inputs.line, inputs.at))
         goal_m = told_goal_m(self.weights.edn, modes.profile_m[row, mode])
         own = self._drive(*read, goal_m).double().numpy()
-        first = own[np.searchsorted(row, np.arange(len(vehicle)))]
+        first = own[np.searchsorted(row, np.arange(len(xy_m)))]
         future = first[:, None].repeat(probability.shape[1], axis=1)
         future[row, mode] = own
-        scene = state.seen.scene
-        xy = to_map_frame(future, scene.xy_m[vehicle], scene.yaw_rad[vehicle])
-        return xy, probability
+        return to_map_frame(future, xy_m, yaw_rad), probability
 
 
 def told_goal_m(network: EncoderDecoderNetwork, profile_m: Tensor) -> Tensor:

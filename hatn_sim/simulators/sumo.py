@@ -140,7 +140,7 @@ class SumoSimulator:
             self._lanes = lanes_of(answer.lane_table)
         self._cannot_branch = answer.cannot_branch
         self._check_scene(answer.frame)
-        return self._frame(answer.frame)
+        return self._frames([answer.frame])[0]
 
     def step(self, commands: Sequence[Command] = ()) -> Frame:
         """Lets 0.1 s pass. Commands for vehicles not on the road are without effect.
@@ -150,7 +150,7 @@ class SumoSimulator:
         """
         answer = self._inquire(accelerations(commands))
         assert isinstance(answer, RawFrame)
-        return self._frame(answer)
+        return self._frames([answer])[0]
 
     def drive_on(
         self, commands: Sequence[Sequence[Command]], kept: int | None = None
@@ -168,7 +168,7 @@ class SumoSimulator:
     def _driven(self) -> list[Frame]:
         answer = self._answer()
         assert isinstance(answer, Advanced)
-        return [self._frame(raw) for raw in answer.frames]
+        return self._frames(answer.frames) if answer.frames else []
 
     def spawn(self, name: str, like: str) -> None:
         """Lets one more vehicle in, as soon as there is room where `like`, on the road, came in.
@@ -296,25 +296,37 @@ class SumoSimulator:
             self.close()
             raise InputError(f"{self.scenario.config_path}: {fault}; correct the scene")
 
-    def _frame(self, raw: RawFrame) -> Frame:
-        self._time_s, self.sumo_s = raw.time_s, raw.sumo_s
+    def _frames(self, raw: Sequence[RawFrame]) -> list[Frame]:
+        rows = np.concatenate([one.rows for one in raw])
+        numbers = rows[:, 7:11].astype(np.int64)
+        xy_m, size_m, colour = rows[:, 0:2].copy(), rows[:, 5:7].copy(), numbers[:, 1:4].copy()
+        yaw_rad, speed_mps, kind = rows[:, 2].copy(), rows[:, 3].copy(), numbers[:, 0].copy()
+        blinker = rows[:, 4].astype(np.int64)
+        frames: list[Frame] = []
+        begin = 0
+        for one in raw:
+            own = slice(begin, begin + len(one.ids))
+            begin = own.stop
+            scene = Scene(
+                time_s=one.time_s,
+                ids=one.ids,
+                xy_m=xy_m[own],
+                yaw_rad=yaw_rad[own],
+                speed_mps=speed_mps[own],
+                size_m=size_m[own],
+                kind=kind[own],
+                colour=colour[own],
+                blinker=blinker[own],
+                signal_closed=one.signal_closed,
+            )
+            frames.append(Frame(scene=scene, truth=self._truth(one), done=one.done))
+        self._time_s, self.sumo_s = raw[-1].time_s, raw[-1].sumo_s
+        return frames
+
+    def _truth(self, raw: RawFrame) -> Truth:
         # Every route comes with strings of its own: in a city they would fill the memory.
         self._routes.extend(tuple(map(sys.intern, route)) for route in raw.new_routes)
-        rows = raw.rows
-        numbers = rows[:, 7:11].astype(np.int64)
-        scene = Scene(
-            time_s=raw.time_s,
-            ids=raw.ids,
-            xy_m=rows[:, 0:2].copy(),
-            yaw_rad=rows[:, 2].copy(),
-            speed_mps=rows[:, 3].copy(),
-            size_m=rows[:, 5:7].copy(),
-            kind=numbers[:, 0].copy(),
-            colour=numbers[:, 1:4].copy(),
-            blinker=rows[:, 4].astype(np.int64),
-            signal_closed=raw.signal_closed,
-        )
-        truth = Truth(
+        return Truth(
             routes=tuple(self._routes[index] if index >= 0 else None for index in raw.routes),
             collisions=raw.collisions,
             emergency_braking=raw.emergency_braking,
@@ -322,7 +334,6 @@ class SumoSimulator:
             arrived=raw.arrived,
             teleported=raw.teleported,
         )
-        return Frame(scene=scene, truth=truth, done=raw.done)
 
 
 class SumoBranch:

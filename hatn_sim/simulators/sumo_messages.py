@@ -48,6 +48,11 @@ class Surroundings:
     variables: dict[str, str]
 
 
+@dataclass(frozen=True)
+class Leave:
+    """The last message. A pipe that closes says as much, unless others hold it open as well."""
+
+
 @dataclass(frozen=True, eq=False)
 class Advance:
     """Asks for one step for each of these lists of commands, until nobody is left to drive."""

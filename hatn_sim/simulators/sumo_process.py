@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO, Any, Final, Protocol
 
 from hatn_sim.simulators.sumo_config import first_error
-from hatn_sim.simulators.sumo_messages import Surroundings
+from hatn_sim.simulators.sumo_messages import Leave, Surroundings
 from hatn_sim.simulators.sumo_nursery import ANSWER, ASK, FORK, REQUEST
 
 WORKER: Final = "hatn_sim.simulators.sumo_worker"
@@ -40,6 +40,7 @@ class SumoWorker:
 
     def __init__(self, workers: Workers) -> None:
         """Raises WorkerDiedError where no process can be started."""
+        self._owner = os.getpid()
         self._words = tempfile.TemporaryFile()  # noqa: SIM115 - close() closes it
         asked, ask = os.pipe()
         answers, answer = os.pipe()
@@ -86,6 +87,10 @@ class SumoWorker:
 
     def close(self) -> None:
         """Lets the worker leave, or ends it if it does not. May be called again."""
+        # What was forked off this process may hold the pipes, too: closing them is not enough.
+        if os.getpid() == self._owner:
+            with suppress(WorkerDiedError, ValueError):
+                self.tell(Leave())
         self._close_files()
         try:
             self._process.wait(LEAVE_TIMEOUT_S)

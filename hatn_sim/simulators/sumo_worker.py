@@ -20,6 +20,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import accumulate
 from typing import Any, Protocol
 
 import libsumo
@@ -46,6 +47,7 @@ from hatn_sim.simulators.sumo_messages import (
     Failed,
     JunctionFoes,
     LaneFoes,
+    Leave,
     RawFrame,
     Refused,
     Spawn,
@@ -65,6 +67,11 @@ from hatn_sim.simulators.sumo_rows import (
 
 SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
 """Of a vehicle without a colour of its own; its type's counts then."""
+COLUMNS = 11
+_Row = tuple[float, ...]
+"""Of a road user: front x, y, compass angle, and from there on as in `RawFrame`."""
+_Read = tuple[list[_Row], Callable[..., RawFrame]]
+"""What was read of a moment: the rows, and the frame when it is given its rows."""
 PEDESTRIAN_PREFIX = "person:"
 """Persons and vehicles may bear the same name; in a scene no two road users may."""
 
@@ -185,17 +192,17 @@ class Simulation:
 
     def advance(self, commands: Sequence[Sequence[tuple[str, float]]], kept: int) -> Advanced:
         """A step for each list of commands, while there is somebody to drive."""
-        frames: list[RawFrame] = []
+        read: list[_Read] = []
         for left, wanted in zip(range(len(commands), 0, -1), commands, strict=True):
             self.step(wanted)
             is_last = self._done
             if is_last or left <= kept:
-                frames.append(self.observe())
+                read.append(self._read())
             else:
                 self._glance()
             if is_last:
                 break
-        return Advanced(tuple(frames))
+        return Advanced(_frames(read))
 
     def _glance(self) -> None:
         """As `observe` for all that has an effect on frames to come, and on SUMO."""
@@ -225,18 +232,22 @@ class Simulation:
 
     def observe(self, names: Sequence[str] | None = None) -> RawFrame:
         """What is on the road now: everybody, or the vehicles named."""
+        return _frames([self._read(names)])[0]
+
+    def _read(self, names: Sequence[str] | None = None) -> _Read:
         simulation = libsumo.simulation
         arrived = self._forget()
         ids, rows, routes = self._vehicles(libsumo.vehicle.getIDList() if names is None else names)
         emergency_braking = self._emergency_braking(ids, rows)
-        persons = frozenset(libsumo.person.getIDList()).difference(ids)
-        self._add_pedestrians(ids, rows, routes)
+        people = libsumo.person.getIDList()
+        persons = frozenset(people).difference(ids)
+        self._add_pedestrians(people, ids, rows, routes)
         new_routes = tuple(self._tracker.routes[self._routes_sent :])
         self._routes_sent += len(new_routes)
-        return RawFrame(
+        return rows, partial(
+            RawFrame,
             time_s=simulation.getTime(),
             ids=tuple(ids),
-            rows=_centred(np.array(rows, np.float64).reshape(len(ids), 11)),
             routes=tuple(routes),
             new_routes=new_routes,
             signal_closed=np.array(
@@ -283,9 +294,7 @@ class Simulation:
         self._branches.end()
         libsumo.close()
 
-    def _emergency_braking(
-        self, ids: Sequence[str], rows: Sequence[tuple[float, ...]]
-    ) -> tuple[str, ...]:
+    def _emergency_braking(self, ids: Sequence[str], rows: Sequence[_Row]) -> tuple[str, ...]:
         """The vehicles that brake as hard as they can, which SUMO warns of but gives no list of.
 
         Its list of emergency stops is another thing: vehicles that a dead end surprises.
@@ -303,9 +312,7 @@ class Simulation:
             if lost >= libsumo.vehicle.getEmergencyDecel(name) * dt_s - ROUNDING_MPS
         )
 
-    def _vehicles(
-        self, names: Sequence[str]
-    ) -> tuple[list[str], list[tuple[float, ...]], list[int]]:
+    def _vehicles(self, names: Sequence[str]) -> tuple[list[str], list[_Row], list[int]]:
         vehicle = libsumo.vehicle
         get_position, get_angle, get_speed = (
             vehicle.getPosition, vehicle.getAngle, vehicle.getSpeed,
@@ -315,7 +322,7 @@ class Simulation:
         )  # fmt: skip
         looks, route_index = self._looks, self._tracker.index
         ids: list[str] = []
-        rows: list[tuple[float, ...]] = []
+        rows: list[_Row] = []
         routes: list[int] = []
         for name in names:
             x_m, y_m = get_position(name)
@@ -332,10 +339,12 @@ class Simulation:
         return ids, rows, routes
 
     @staticmethod
-    def _add_pedestrians(ids: list[str], rows: list[tuple[float, ...]], routes: list[int]) -> None:
+    def _add_pedestrians(
+        people: Sequence[str], ids: list[str], rows: list[_Row], routes: list[int]
+    ) -> None:
         """Appends the persons on foot."""
         person = libsumo.person
-        for name in person.getIDList():
+        for name in people:
             x_m, y_m = person.getPosition(name)
             if x_m < INVALID_M or person.getVehicle(name):
                 continue
@@ -358,10 +367,15 @@ def _look(domain: Any, name: str) -> tuple[float, ...]:
     return (float(domain.getLength(name)), float(domain.getWidth(name)), kind, red, green, blue)
 
 
-def _centred(rows: np.ndarray) -> np.ndarray:
-    """Turns SUMO's front bumper and compass angle into box centre and yaw, in place."""
-    rows[:, :2], rows[:, 2] = centred(rows[:, :2], rows[:, 2], rows[:, 5])
-    return rows
+def _frames(read: Sequence[_Read]) -> tuple[RawFrame, ...]:
+    """What was read, box centre and yaw in place of SUMO's front bumper and compass angle."""
+    every = np.array([row for rows, _ in read for row in rows], np.float64).reshape(-1, COLUMNS)
+    every[:, :2], every[:, 2] = centred(every[:, :2], every[:, 2], every[:, 5])
+    ends = accumulate(len(rows) for rows, _ in read)
+    return tuple(
+        frame(rows=every[end - len(rows) : end])
+        for (rows, frame), end in zip(read, ends, strict=True)
+    )
 
 
 def _collisions(persons: frozenset[str]) -> tuple[tuple[str, str], ...]:
@@ -437,6 +451,8 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         reply(Started(simulation.lane_table, first, simulation.cannot_branch))
         while True:
             message = pickle.load(requests)
+            if isinstance(message, Leave):
+                return
             try:
                 answer = simulation.answer(message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
