@@ -15,6 +15,7 @@ from conftest import scene_of
 from hatn_sim import bench, cli
 from hatn_sim.bench import STAGES, Stopwatch, peak_memory_mb
 from hatn_sim.bench_scaling import APART_M, copy_lanes, copy_scene
+from hatn_sim.envs import speed
 from hatn_sim.graph import build_graphs
 from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
@@ -124,6 +125,26 @@ def test_copies_of_a_scene_have_graphs_of_their_own(crossing: Road) -> None:
         own = slice(2 * copy, 2 * copy + 2)
         np.testing.assert_allclose(graphs.x[own], alone.x, atol=1e-9)
         np.testing.assert_allclose(graphs.conflict_xy_m[own, :2, 0], copy * APART_M, atol=1e-6)
+
+
+def test_environments_beside_those_of_highway_env(
+    weights: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(speed, "CHUNK_FRAMES", 5)
+    monkeypatch.setattr(speed, "RESETS", 1)
+    monkeypatch.setattr(speed, "TOGETHER", 2)
+    words = ["bench", "--envs", "--scene", "intersection5", "--steps", "5", "--weights"]
+    assert cli.main([*words, str(weights), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    first, *others = told["speeds"]
+    assert first["what"] == "highway-env, intersection-v2" and first["ratio"] == 1.0
+    assert [one["what"] for one in others][:2] == ["no prediction", "hatn, each step, advised"]
+    assert others[-1]["what"] == "hatn, each frame, 2 side by side"
+    for one in told["speeds"]:
+        ratio = one["frames_per_s"] / first["frames_per_s"]
+        assert one["ratio"] == pytest.approx(ratio) and one["vehicles"] > 1.0
+    assert [one["what"] for one in told["resets"]] == ["no prediction", "hatn"]
+    assert all(one["reset_ms"] > one["bare_ms"] > 0.0 for one in told["resets"])
 
 
 def test_the_scaling_table_has_a_row_for_all_sizes(capsys: pytest.CaptureFixture[str]) -> None:

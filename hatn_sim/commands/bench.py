@@ -24,6 +24,7 @@ EXAMPLES = """examples:
   hatn-sim bench
   hatn-sim bench --scene intersection5 --vehicles 20 --steps 1000 --json
   hatn-sim bench --scaling
+  hatn-sim bench --envs --scene intersection5
 """
 
 
@@ -51,6 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="instead: what seeing costs from 10 to 1,000 vehicles and in nets of all sizes",
     )
+    parser.add_argument(
+        "--envs",
+        action="store_true",
+        help="instead: frames a second of environments, beside highway-env's, and their resets",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
@@ -70,6 +76,8 @@ def main(arguments: argparse.Namespace) -> int:
         )
     if arguments.scaling:
         return _scaling(arguments, scenario)
+    if arguments.envs:
+        return _environments(arguments)
     predictor = Hatn(arguments.weights or weights_dir() / "hatn.safetensors")
     # In rising order: the peak of this process's memory is the one so far.
     benches = [
@@ -123,6 +131,47 @@ def _scaling(arguments: argparse.Namespace, scenario: Scenario) -> int:
         )
     print(f"milliseconds a step (medians): copies of {scenario.name}, each with the same traffic")
     make_console().print(table)
+    return 0
+
+
+def _environments(arguments: argparse.Namespace) -> int:
+    from hatn_sim.config import load_scenario
+    from hatn_sim.envs.speed import BESIDE, CHUNK_FRAMES, measure_resets, measure_speeds
+    from hatn_sim.predictors.find import load_predictor
+
+    scenario = load_scenario(arguments.scene)
+    if scenario.densities:  # the first is the one of least traffic, the nearest to highway-env's
+        scenario = load_scenario(arguments.scene, scenario.densities[0])
+    predictor = load_predictor("hatn", arguments.weights)
+    rounds = max(arguments.steps // CHUNK_FRAMES, 1)
+    speeds = measure_speeds(scenario, predictor, rounds, arguments.seed)
+    resets = measure_resets(scenario, predictor, arguments.seed)
+    if arguments.json:
+        import json
+        from dataclasses import asdict
+
+        told = {"speeds": list(map(asdict, speeds)), "resets": list(map(asdict, resets))}
+        print(json.dumps(told, indent=2))
+        return 0
+    from rich.table import Table
+
+    from hatn_sim.commands.console import make_console
+
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="italic")
+    table.add_column("environment")
+    for title in ("vehicles", "frames/s", f"of {BESIDE}'s"):
+        table.add_column(title, justify="right")
+    for one in speeds:
+        row = f"{one.vehicles:.1f}", f"{one.frames_per_s:.0f}", f"x{one.ratio:.2f}"
+        table.add_row(one.what, *row)
+    density = "" if scenario.density is None else f", {scenario.density} traffic"
+    print(f"frames of the simulator a second, by turns in one run: {scenario.name}{density}")
+    make_console().print(table)
+    for one in resets:
+        print(
+            f"reset, {one.what}: {one.reset_ms:.0f} ms, {one.reset_ms - one.bare_ms:.0f} ms more "
+            f"than SUMO's own steps of the warm-up ({one.bare_ms:.0f} ms)"
+        )
     return 0
 
 

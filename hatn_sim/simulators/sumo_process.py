@@ -261,7 +261,7 @@ class _Forked:
                 if time.monotonic() > until_s:
                     raise subprocess.TimeoutExpired(WORKER, timeout or 0.0)
                 time.sleep(nap_s)
-                nap_s = min(2.0 * nap_s, LONGEST_NAP_S)
+                nap_s = min(1.2 * nap_s, LONGEST_NAP_S)
         return self._code
 
     def kill(self) -> None:
