@@ -14,7 +14,8 @@ from hatn_sim.evaluation.made_by import NO_PART_IN_RUNS
 PACKAGE = Path(hatn_sim.__file__).parent
 
 HIGHWAY = tuple(
-    f"simulators.highway{part}" for part in ("", "_environment", "_lanes", "_places", "_traffic")
+    f"simulators.highway{part}"
+    for part in ("", "_environment", "_lanes", "_places", "_traffic", "_watched")
 )
 
 ONLY_IN = {
@@ -25,6 +26,7 @@ ONLY_IN = {
     "sumolib": (),
     "highway_env": HIGHWAY,
     "gymnasium": ("envs", *HIGHWAY),
+    "pettingzoo": ("envs.parallel_env",),
     "pyarrow": ("log", "recordings"),
     "pyproj": ("recordings",),
     "lanelet2": (),

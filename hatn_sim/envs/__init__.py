@@ -13,6 +13,9 @@
 
 `hatn_sim.envs.options` has the table of all options. `gymnasium.make_vec` makes many of them that
 share one batch of predictions (`hatn_sim.envs.vector_env`).
+`hatn_sim.envs.parallel_env.SceneParallelEnv` drives several vehicles of a scene (PettingZoo), and
+`hatn_sim.envs.prediction_observation.PredictionObservation` adds predictions to an environment of
+highway-env that is made elsewhere.
 """
 
 from __future__ import annotations

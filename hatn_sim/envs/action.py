@@ -43,10 +43,13 @@ class Slots(Discrete):
         self.admissible: BoolArray = np.arange(MAX_NODES) == YIELD
 
     def sample(self, mask: Any = None, probability: Any = None) -> np.int64:
-        """As of `Discrete`; `admissible` is the mask where neither is given."""
+        """As of `Discrete`; `admissible` is the mask where neither is given.
+
+        A mask may be of any type, such as the one that is observed.
+        """
         if mask is None and probability is None:
-            mask = self.admissible.astype(np.int8)
-        return super().sample(mask, probability)
+            mask = self.admissible
+        return super().sample(None if mask is None else np.asarray(mask, np.int8), probability)
 
 
 def action_space(form: str) -> Slots | Box:

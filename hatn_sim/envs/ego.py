@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, Frame, Kind, Simulator
+from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, Frame, Kind, Route, Simulator
 from hatn_sim.envs.driving import warmed_up
 from hatn_sim.envs.errors import EgoError, OptionError
 from hatn_sim.errors import nearest
+from hatn_sim.simulators.highway_scene import EGO, ego_name
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
-SPAWNED: Final = "ego"
+SPAWNED: Final = EGO
 """What a spawned ego is called; highway-env's own is, too."""
 LONGEST_WAIT_S: Final = 600.0
 """An ego of simulated traffic that has not come by then never comes."""
@@ -42,22 +44,64 @@ def begin_episode(
     frame = last[-1]
     if ego == "spawned":
         ego_id = SPAWNED
-        _spawn(simulator, frame, last, random)
+        _spawn(simulator, (SPAWNED,), last, random)
     # Those who are there already have missed their approach.
     before = frozenset(frame.scene.ids)
+
+    def come(now: Frame) -> Sequence[str]:
+        if ego_id is None:
+            return _newcomers(now, before)
+        return (ego_id,) * (ego_id in now.scene.ids)
+
+    return _wait(simulator, last, before, come, ego_id)[0], list(last)
+
+
+def begin_together(
+    simulator: Simulator, seed: int, egos: int, warm_up_frames: int, random: np.random.Generator
+) -> tuple[tuple[str, ...], list[Frame]]:
+    """The ids of several spawned egos, and the last frames up to the first that all are in.
+
+    They come in by different ways as far as there are such. Until all are there, those who are
+    drive as the simulator has them. Raises as `begin_episode`.
+    """
+    last = deque(warmed_up(simulator, simulator.reset(seed), warm_up_frames), HISTORY_FRAMES)
+    names = tuple(map(ego_name, range(egos)))
+    before = frozenset(last[-1].scene.ids)
+    _spawn(simulator, names, last, random)
+    came: set[str] = set()
+
+    def come(now: Frame) -> Sequence[str]:
+        here = set(names) & set(now.scene.ids)
+        if gone := sorted(came - here):
+            raise EgoError(
+                f"{simulator.name}: {gone[0]!r} had left before all {egos} egos were there; "
+                "expected a scene with room for them, choose fewer egos or less traffic"
+            )
+        came.update(here)
+        return names if len(here) == egos else ()
+
+    _wait(simulator, last, before, come, names[-1])
+    return names, list(last)
+
+
+def _wait(
+    simulator: Simulator,
+    last: deque[Frame],
+    before: frozenset[str],
+    come: Callable[[Frame], Sequence[str]],
+    ego_id: str | None,
+) -> Sequence[str]:
+    """Goes on until somebody has `come`, which frames are added to `last`; who that is."""
     known = set(before)
     most = None if isinstance(simulator, SumoReplay) else round(LONGEST_WAIT_S / DT_S)
     waited = 0
-    while True:
-        ids = last[-1].scene.ids
-        here = _newcomers(last[-1], before) if ego_id is None else (ego_id,) * (ego_id in ids)
-        if here:
-            return here[0], list(last)
+    while not (here := come(last[-1])):
         if last[-1].done or waited == most:
             raise _never(simulator, ego_id, last[-1].scene.time_s, known)
         last.append(simulator.step())
         known.update(last[-1].scene.ids)
         waited += 1
+    return here
 
 
 def _newcomers(frame: Frame, seen: frozenset[str]) -> tuple[str, ...]:
@@ -71,25 +115,36 @@ def _newcomers(frame: Frame, seen: frozenset[str]) -> tuple[str, ...]:
 
 
 def _spawn(
-    simulator: Simulator, frame: Frame, last: deque[Frame], random: np.random.Generator
+    simulator: Simulator, names: Sequence[str], last: deque[Frame], random: np.random.Generator
 ) -> None:
+    ids = last[-1].scene.ids
     if not isinstance(simulator, SumoSimulator):
-        if SPAWNED not in frame.scene.ids:
+        if missing := [name for name in names if name not in ids]:
             raise OptionError(
-                f"ego: {simulator.name} begins without a vehicle of its own; choose 'taken_over'"
+                f"ego: {simulator.name} begins without a vehicle {missing[0]!r} of its own; choose "
+                "'taken_over', or set how many its controlled_vehicles are"
             )
         return
-    if SPAWNED in frame.scene.ids:
+    if taken := [name for name in names if name in ids]:
         raise OptionError(
-            f"ego: {simulator.name} has a vehicle {SPAWNED!r} of its own; choose ego='taken_over', "
-            f"ego_id={SPAWNED!r}"
+            f"ego: {simulator.name} has a vehicle {taken[0]!r} of its own; choose "
+            f"ego='taken_over', ego_id={taken[0]!r}"
         )
-    # It takes the way of somebody who is there: the scene's own demand says who goes where.
+    # They take the ways of those who are there: the scene's own demand says who goes where.
     while not (models := _newcomers(last[-1], frozenset())):
         if last[-1].done:
             raise EgoError(f"{simulator.name}: nobody is on the road whose way the ego could take")
         last.append(simulator.step())
-    simulator.spawn(SPAWNED, models[int(random.integers(len(models)))])
+    routes = dict(zip(last[-1].scene.ids, last[-1].truth.routes, strict=True))
+    left = models
+    for name in names:
+        model = left[int(random.integers(len(left)))]
+        simulator.spawn(name, model)
+        left = tuple(one for one in left if _entry(routes[one]) != _entry(routes[model])) or models
+
+
+def _entry(route: Route | None) -> str:
+    return route[0] if route else ""
 
 
 def _cast(simulator: SumoReplay, seed: int, ego_id: str | None, random: np.random.Generator) -> str:

@@ -48,3 +48,7 @@ class EgoError(InputError):
 
 class RenderError(InputError):
     """What was asked for cannot be shown."""
+
+
+class MissingPackageError(InputError, ImportError):
+    """An extra of this package is needed that is not installed."""

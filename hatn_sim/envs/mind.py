@@ -11,7 +11,9 @@ import numpy as np
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
 from hatn_sim.datatypes import Advice, FloatArray, Frame, Prediction, Predictor, Scene
+from hatn_sim.envs.errors import OptionError
 from hatn_sim.envs.observation import Sight
+from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
 from hatn_sim.loop import (
     Adviser,
@@ -23,6 +25,7 @@ from hatn_sim.loop import (
     foresee,
     observe,
 )
+from hatn_sim.predictors.find import load_predictor
 from hatn_sim.road import Road
 
 NEAREST_FIRST: Final = 0.01
@@ -61,11 +64,27 @@ Asked = tuple[Mind, Scene]
 """A mind that wants a prediction, and the scene that it has taken in last."""
 
 
+def predictor_of(named: str | Predictor | None) -> Predictor | None:
+    """The predictor that an option names, or is. Raises OptionError where there is none such."""
+    if not isinstance(named, str):
+        return named
+    try:
+        return load_predictor(named)
+    except InputError as error:
+        raise OptionError(f"predictor: {error}") from None
+
+
 def open_mind(
-    predictor: Predictor, lines: LineSource, ego_id: str, road: Road, *, advises: bool = True
+    predictor: Predictor,
+    lines: LineSource,
+    ego_id: str | frozenset[str],
+    road: Road,
+    *,
+    advises: bool = True,
 ) -> Mind:
-    """Nothing seen yet; advice is for the ego alone, or for nobody."""
-    adviser = Adviser(predictor, lines, frozenset({ego_id}))
+    """Nothing seen yet; advice is for the ego, or for several of them, alone, or for nobody."""
+    egos = frozenset({ego_id}) if isinstance(ego_id, str) else ego_id
+    adviser = Adviser(predictor, lines, egos)
     return Mind(adviser, road, begin(adviser, road), advises)
 
 

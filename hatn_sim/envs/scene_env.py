@@ -2,44 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
 
-from hatn_sim.datatypes import DT_S, BoolArray, Predictor
+from hatn_sim.datatypes import DT_S, BoolArray
 from hatn_sim.envs.action import (
     Slots,
-    acceleration_command,
     action_space,
-    chosen_slot,
-    highway_command,
-    numbers_of,
-    tracking_command,
 )
-from hatn_sim.envs.driving import Plan, driven
+from hatn_sim.envs.driving import driven, plan_of
 from hatn_sim.envs.ego import begin_episode
 from hatn_sim.envs.episode import TERMINAL, Episode
 from hatn_sim.envs.errors import EpisodeOverError, NeedsResetError, OptionError, RenderError
 from hatn_sim.envs.features import observation_space, observation_table
-from hatn_sim.envs.mind import conclude, glance, open_mind, slot_profile
+from hatn_sim.envs.mind import conclude, glance, open_mind, predictor_of
 from hatn_sim.envs.observation import (
-    Ego,
     Observation,
-    admissible_slots,
-    observe_slots,
-    observe_vehicles,
 )
 from hatn_sim.envs.options import read_options
 from hatn_sim.envs.reward import Terms
-from hatn_sim.envs.seen import Seen
+from hatn_sim.envs.shown import info_of, observation_of, slots_now
 from hatn_sim.envs.traffic import ego_of, scenario_of, warm_up_s
 from hatn_sim.envs.turns import Turn, taken
-from hatn_sim.errors import InputError
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
-from hatn_sim.predictors.find import load_predictor
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.traffic import open_traffic
 
@@ -147,7 +134,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         observation = self._observation(episode)
         if self.render_mode == "human":
             self._show(episode)
-        return observation, self._info(episode, Terms())
+        return observation, info_of(episode, Terms(), self.options)
 
     def step(self, action: Any) -> Step:
         """Drives on for `frames_per_step` frames, or until the episode ends.
@@ -163,12 +150,13 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             raise EpisodeOverError(
                 f"step: the episode is over ({episode.end}); expected a call of reset before"
             )
-        plan = self._plan(episode, action)
+        plan = plan_of(episode, action, self.action_space, self.options)
         terms = Terms()
         yield None
         try:
             count = self.options.frames_per_step
-            come = driven(self._simulator, episode.ego_id, episode.frame, plan, count)
+            plans = {episode.ego_id: plan}
+            come = driven(self._simulator, episode.frame, plans, count)
             yield None
             for frame in come():
                 if terms.time_s and episode.mind is not None:
@@ -188,7 +176,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         if self.render_mode == "human":
             self._show(episode)
         cut = episode.is_over and not is_terminal
-        return observation, reward, is_terminal, cut, self._info(episode, terms)
+        return observation, reward, is_terminal, cut, info_of(episode, terms, self.options)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The moment as a picture [height, width, 3] in the mode `rgb_array`.
@@ -217,78 +205,23 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             raise OptionError("action_masks: expected the environment's action to be 'slot'")
         return self.action_space.admissible.copy()
 
-    # -- what is done -----------------------------------------------------------------------------
-
-    def _plan(self, episode: Episode, action: Any) -> Plan:
-        ego_id, space = episode.ego_id, self.action_space
-        if isinstance(space, Slots):
-            slot = chosen_slot(action, space.admissible, self.options.masked_action)
-            speeds = self._profile(episode, slot)
-            if not speeds:  # on no line nobody knows the way: the simulator's driver does
-                return lambda _k, _speed_mps: None
-            return lambda k, speed_mps: tracking_command(ego_id, speed_mps, speeds, k)
-        assert isinstance(space, Box)
-        numbers = numbers_of(action, space)
-        is_highway = self.options.action_form == "highway"
-        command = (highway_command if is_highway else acceleration_command)(ego_id, numbers)
-        return lambda _k, _speed_mps: command
-
-    @staticmethod
-    def _profile(episode: Episode, slot: int) -> Sequence[float]:
-        assert episode.mind is not None and episode.thought is not None and episode.row is not None
-        scene = episode.frame.scene
-        return slot_profile(episode.mind, episode.thought.sight, scene, episode.row, slot)
-
     # -- what is shown of it ----------------------------------------------------------------------
 
     def _think(self, episode: Episode) -> Turn[None]:
         """Decides at the newest frame; the mask of actions is that of it."""
         episode.thought = None
-        row = episode.row
-        if episode.mind is not None and row is not None:
+        if episode.mind is not None and episode.row is not None:
             scene = episode.frame.scene
             mind = glance(episode.mind, episode.frame)
             prediction = yield mind, scene
             assert prediction is not None
             episode.mind, episode.thought = conclude(mind, scene, prediction)
         if isinstance(self.action_space, Slots):
-            mask = np.arange(self.action_space.n) == 0
-            if episode.thought is not None and row is not None:
-                mask = admissible_slots(episode.thought.sight, row)
-            self.action_space.admissible = mask
+            self.action_space.admissible = slots_now(episode)
 
     def _observation(self, episode: Episode) -> Observation:
         space = cast(gymnasium.spaces.Dict, self.observation_space)
-        row, thought = episode.row, episode.thought
-        whole: Observation = {
-            key: np.zeros(box.shape or (), np.float32) for key, box in space.items()
-        }
-        if row is not None:
-            left = 1.0 - episode.frames * DT_S / self.options.duration_s
-            ego = Ego(row, episode.acceleration_mps2, left)
-            scene = episode.frame.scene
-            if self.options.observation_form == "slots":
-                assert thought is not None
-                whole |= observe_slots(scene, ego, thought.sight)
-            else:
-                whole |= observe_vehicles(scene, ego)
-        if isinstance(self.action_space, Slots):
-            whole["action_mask"] = self.action_space.admissible.astype(np.float32)
-        return whole
-
-    def _info(self, episode: Episode, terms: Terms) -> dict[str, Any]:
-        scene, thought = episode.frame.scene, episode.thought
-        info: dict[str, Any] = {
-            "seen": Seen(episode.ego_id, scene, None if thought is None else thought.advice),
-            "ego_id": episode.ego_id,
-            "seed": episode.seed,
-            "time_s": scene.time_s,
-            "end": episode.end,
-            "reward_terms": terms.weighted(self.options.reward),
-        }
-        if isinstance(self.action_space, Slots):
-            info["action_mask"] = self.action_space.admissible.astype(np.int8)
-        return info
+        return observation_of(episode, space, self.options)
 
     def _running(self, what: Literal["step", "render"] = "step") -> Episode:
         if self._episode is None:
@@ -300,26 +233,12 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
 
         if self._view is None:
             self._view = View(list(self._simulator.road.lanes.values()), self.scenario.title)
-        mind, thought = episode.mind, episode.thought
-        seen = Seen(episode.ego_id, episode.frame.scene, thought.advice if thought else None)
-        return self._view.picture(
-            seen, thought.sight if thought else None, mind.road if mind else None
-        )
+        return self._view.picture_of(episode)
 
     def _show(self, episode: Episode) -> None:
         picture = self._picture(episode)
         assert self._view is not None
         self._view.show(picture, self.metadata["render_fps"])
-
-
-def predictor_of(named: str | Predictor | None) -> Predictor | None:
-    """The predictor of an option. Raises OptionError for an unknown name."""
-    if not isinstance(named, str):
-        return named
-    try:
-        return load_predictor(named)
-    except InputError as error:
-        raise OptionError(f"predictor: {error}") from None
 
 
 SceneEnv.__doc__ = (SceneEnv.__doc__ or "").replace(

@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import iterate
 
+from hatn_sim.envs.mind import predictor_of
 from hatn_sim.envs.options import EnvOptions
-from hatn_sim.envs.scene_env import SceneEnv, predictor_of
+from hatn_sim.envs.scene_env import SceneEnv
 from hatn_sim.envs.turns import taken
 
 

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from hatn_sim.datatypes import Lane
+from hatn_sim.envs.episode import Episode
 from hatn_sim.envs.errors import RenderError
 from hatn_sim.envs.observation import Sight
 from hatn_sim.envs.seen import Seen
+from hatn_sim.envs.shown import seen_in
 from hatn_sim.report.live import LiveSheet, live_moment, predicted_moment
 from hatn_sim.road import Road
 
@@ -21,6 +23,12 @@ class View:
         self._sheet = LiveSheet(lanes)
         self._title = title
         self._window: Window | None = None
+
+    def picture_of(self, episode: Episode) -> np.ndarray:
+        """The moment of an episode, as `picture`."""
+        thought, mind = episode.thought, episode.mind
+        sight, road = (thought and thought.sight), (mind and mind.road)
+        return self.picture(seen_in(episode), sight, road)
 
     def picture(self, seen: Seen, sight: Sight | None, road: Road | None) -> np.ndarray:
         """A moment [height, width, 3], as uint8."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-import numpy as np
-
 from hatn_sim.config import Scenario
 from hatn_sim.datatypes import (
     DT_S,
@@ -14,23 +12,18 @@ from hatn_sim.datatypes import (
     Change,
     Command,
     Frame,
-    Kind,
     Lane,
-    Scene,
     Truth,
 )
 from hatn_sim.errors import InputError, SimulatorError
-from hatn_sim.geometry import wrap_angle
 from hatn_sim.road import Road
 from hatn_sim.simulators.highway_environment import SUBSTEPS, make_environment, own_drivers
 from hatn_sim.simulators.highway_lanes import lane_graph
+from hatn_sim.simulators.highway_scene import rows_of, scene_at
 from hatn_sim.simulators.highway_traffic import Leaving, Traffic, drive
 from hatn_sim.simulators.touching import touching_pairs
 
 MAX_SEED: Final = 2**31 - 1
-EGO_COLOUR: Final = (50, 200, 0)
-OTHER_COLOUR: Final = (100, 200, 255)
-"""highway-env's own."""
 TOUCH_M: Final = 0.1
 """Its physics push colliding vehicles apart within the step."""
 
@@ -129,26 +122,8 @@ class HighwaySimulator:
         self, traffic: Traffic, leaving: Leaving | None, departed: tuple[str, ...] = ()
     ) -> Frame:
         journeys = traffic.journeys
-        vehicles: list[Any] = list(journeys)
-        rows = np.array(
-            [(*v.position, v.heading, v.speed, v.LENGTH, v.WIDTH) for v in vehicles], np.float64
-        ).reshape(-1, 6)
         ids = tuple(journey.name for journey in journeys.values())
-        count = len(ids)
-        scene = Scene(
-            time_s=self._tick * DT_S,
-            ids=ids,
-            xy_m=rows[:, 0:2] * np.array([1.0, -1.0]),
-            yaw_rad=-wrap_angle(rows[:, 2]),
-            speed_mps=rows[:, 3].copy(),
-            size_m=rows[:, 4:6].copy(),
-            kind=np.full(count, Kind.CAR, np.int64),
-            colour=np.array(
-                [EGO_COLOUR if name.startswith("ego") else OTHER_COLOUR for name in ids], np.int64
-            ).reshape(-1, 3),
-            blinker=np.zeros(count, np.int64),
-            signal_closed=np.zeros(0, np.bool_),
-        )
+        scene = scene_at(self._tick * DT_S, ids, rows_of(journeys))
         truth = Truth(
             routes=tuple(journey.route for journey in journeys.values()),
             collisions=touching_pairs(scene, TOUCH_M),

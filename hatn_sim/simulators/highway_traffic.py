@@ -20,6 +20,7 @@ from highway_env.vehicle.objects import Obstacle
 
 from hatn_sim.datatypes import DT_S, Command, Route
 from hatn_sim.simulators.highway_lanes import LaneGraph, LaneIndex, ends, entries, lane_id
+from hatn_sim.simulators.highway_scene import ego_name
 
 ENTRY_M: Final = 5.0
 """Where vehicles come in, along the lane, as in highway-env's own intersection."""
@@ -112,7 +113,7 @@ class Traffic:
                     route=getattr(vehicle, "route", None),
                 )
                 self._road.vehicles[number] = vehicle
-                self._add(vehicle, "ego" if place == 0 else f"ego{place + 1}")
+                self._add(vehicle, ego_name(place))
             else:
                 self._add(vehicle)
             self._tune(vehicle)
