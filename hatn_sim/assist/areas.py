@@ -58,9 +58,9 @@ def swept_areas_m(
     """
     # Both ways round, and both ends: [4 Q], noses first.
     both = np.arange(4) % 2
-    own, other = (np.concatenate(index.T[k]) for k in (both, 1 - both))
-    own_line, own_s = (np.concatenate(of.T[both]) for of in (line, point_s_m))
-    other_line, other_s = (np.concatenate(of.T[1 - both]) for of in (line, point_s_m))
+    own, other = np.concatenate(index.T[both]), np.concatenate(index.T[1 - both])
+    own_line, other_line = np.concatenate(line.T[both]), np.concatenate(line.T[1 - both])
+    own_s, other_s = np.concatenate(point_s_m.T[both]), np.concatenate(point_s_m.T[1 - both])
     strips = _strips(road, other_line, other_s, scene.size_m[other])
     sign = np.repeat([-1.0, -1.0, 1.0, 1.0], len(index))
     reach_m = _reach_m(road, strips, own_line, own_s, sign, scene.size_m[own]).reshape(4, -1)
