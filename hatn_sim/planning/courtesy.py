@@ -41,7 +41,7 @@ def heedless(now: Situation, travelled_m: FloatArray, others: Occupancy) -> Floa
     step_m = np.linalg.norm(np.diff(path, axis=2), axis=3)  # [Q, K, G]
     speed = step_m / TIMES_S[0]
     needed_m = np.cumsum(step_m, axis=2) + speed * REACTION_S + speed**2 / (2.0 * GENTLE_MPS2)
-    can_stop = needed_m <= met.other_room_m[known, None, None]
+    can_stop: BoolArray = np.asarray(needed_m <= met.other_room_m[known, None, None])
     inside = travelled_m[:, None, :] > met.room_m[known, None]  # [R, Q, G]
     enters, ever = inside.argmax(axis=2), inside.any(axis=2)
     lets = can_stop[np.arange(len(row)), :, enters] & ever[..., None]  # [R, Q, K]
