@@ -155,6 +155,23 @@ def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
         raise InputError(f"{where}: the prediction for {first!r} is not finite; mend the predictor")
 
 
+def begin_to_drive(agent: Agent, ego_id: str, road: Road, scene: Scene) -> Any:
+    """The agent's first memory. InputError where somebody's own agent fails."""
+    with _named(f"the agent of {ego_id!r}", agent, scene):
+        return agent.init(road)
+
+
+def decide(
+    agent: Agent, memory: Any, ego_id: str, scene: Scene, advice: Advice
+) -> tuple[Any, Command | None]:
+    """Ask an agent once. InputError where somebody's own agent fails, or commands nonsense."""
+    with _named(f"the agent of {ego_id!r}", agent, scene):
+        memory, command = agent.step(memory, ego_id, scene, advice)
+    if command is not None:
+        check_command(command, ego_id, scene)
+    return memory, command
+
+
 def check_command(command: Command, ego_id: str, scene: Scene) -> None:
     """InputError where an agent's command is none, not of its vehicle or not finite."""
     where = f"the agent of {ego_id!r} at {scene.time_s:.1f} s"
@@ -222,10 +239,10 @@ def run(
         raise ValueError("drivers need advice on every frame")
     road = simulator.road
     states = [begin(adviser, road) for adviser in advisers]
-    driver_states: dict[str, Any] = {}
-    for ego_id, driver in drivers.items():
-        with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
-            driver_states[ego_id] = driver.agent.init(road)
+    driver_states = {
+        ego_id: begin_to_drive(driver.agent, ego_id, road, frame.scene)
+        for ego_id, driver in drivers.items()
+    }
     done = 0
     for index in range(frames):
         advice: dict[str, Advice] = {}
@@ -245,12 +262,10 @@ def run(
             shown = advice[advisers[MAIN].predictor.name]
             if driver.from_s is not None and frame.scene.time_s < driver.from_s - ROUNDING_S:
                 continue
-            with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
-                driver_states[ego_id], command = driver.agent.step(
-                    driver_states[ego_id], ego_id, frame.scene, shown
-                )
+            driver_states[ego_id], command = decide(
+                driver.agent, driver_states[ego_id], ego_id, frame.scene, shown
+            )
             if command is not None:
-                check_command(command, ego_id, frame.scene)
                 commands.append(command)
         frame = simulator.step(commands)
     return done

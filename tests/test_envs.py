@@ -54,7 +54,7 @@ from hatn_sim.envs.observation import (
 from hatn_sim.envs.options import RewardWeights, read_options
 from hatn_sim.envs.reward import terms_of
 from hatn_sim.envs.scene_env import SceneEnv
-from hatn_sim.envs.way import way_along
+from hatn_sim.way import way_along
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.resources import scenarios_dir

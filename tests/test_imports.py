@@ -41,7 +41,7 @@ LAYERS = (
     ("config", "conflict_table", "conflicts", "lane_graph", "lane_index", "road", "simulators"),
     (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
-        *("perception", "speed_profile", "tracks"),
+        *("perception", "speed_profile", "tracks", "way"),
     ),
     ("assist", "hatn", "predictors"),
     ("evaluation", "learn", "log", "loop", "recordings", "report", "score", "traffic"),
