@@ -30,8 +30,7 @@ from hatn_sim.datatypes import (
     Simulator,
 )
 from hatn_sim.errors import HatnSimError, InputError, SimulatorError
-from hatn_sim.evaluation.closed_loop_kept import DrivenEgo, DrivenRow, OpenLoop, read_row, write_row
-from hatn_sim.evaluation.closed_loop_oracle import ORACLE, BranchOracle
+from hatn_sim.evaluation.closed_loop_oracle import BranchOracle
 from hatn_sim.evaluation.pool import Teller
 from hatn_sim.evaluation.runs import predictor_of_process
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
@@ -40,13 +39,20 @@ from hatn_sim.loop import Adviser, begin, begin_to_drive, decide, observe, run, 
 from hatn_sim.plugins import load_agent
 from hatn_sim.score.close_passes import close_passes
 from hatn_sim.score.closed_loop import drive_measures
+from hatn_sim.score.closed_loop_rows import (
+    ORACLE,
+    REFERENCE,
+    DrivenEgo,
+    DrivenRow,
+    OpenLoop,
+    read_row,
+    write_row,
+)
 from hatn_sim.score.drive import CROSSED, Drive, DriveRecorder
 from hatn_sim.score.driven import driven_by
 from hatn_sim.score.prediction import score_run
 from hatn_sim.traffic import open_traffic
 
-REFERENCE: Final = "sumo_driver"
-"""The row of the simulator's own driver."""
 BEFORE_FRAMES: Final = 11
 """Of the others' motion before the ego comes that a drive is measured with."""
 OPEN_LOOP: Final = ("ade_3s", "fde_3s", "goal_error", "slot_accuracy")

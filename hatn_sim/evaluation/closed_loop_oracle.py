@@ -9,7 +9,6 @@ keeps its speed. Nobody on the road can know this: it is what a prediction could
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -26,8 +25,7 @@ from hatn_sim.datatypes import (
 )
 from hatn_sim.errors import SimulatorError
 from hatn_sim.road import Road
-
-ORACLE: Final = "oracle"
+from hatn_sim.score.closed_loop_rows import ORACLE
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,10 @@ _line: tuple[Any, Any] | None = None
 """Of a working process: the queue of what it tells, and the event that says it is to stop."""
 
 
+class WorkerKilledError(HatnSimError):
+    """A process was killed from outside, and with it all others."""
+
+
 class Stopped(Exception):  # noqa: N818 - nothing is wrong
     """Another item failed, or somebody pressed ctrl-C."""
 
@@ -64,7 +68,7 @@ def work_on(
     process. The first error, or ctrl-C, stops all others at their next step and is raised here.
 
     Raises:
-        HatnSimError: a process was killed, as by a machine that has no memory left.
+        WorkerKilledError: a process was killed, as by a machine that has no memory left.
     """
     workers = min(workers, len(items))
     if workers <= 1:
@@ -86,7 +90,7 @@ def work_on(
                 for future in ready:
                     yield waiting.pop(future), future.result()
         except BrokenProcessPool:
-            raise HatnSimError(
+            raise WorkerKilledError(
                 "a process was killed from outside, perhaps for lack of memory; try fewer --workers"
             ) from None
         finally:

@@ -2,7 +2,7 @@
 
 | measure | unit | what it is |
 |---|---|---|
-| `crossed` | share | the ego's rear bumper left its crossing before the limit, without a collision |
+| `crossed` | share | the ego's rear bumper left its crossing within the limit, no collision |
 | `time_to_cross` | s | from its coming into view until then; whoever never crosses: the limit |
 | `time_to_enter` | s | the same until its front bumper is in the crossing |
 | `collisions` | 1 | others whom the ego touched; the first contact ends the drive |
@@ -10,10 +10,10 @@
 | `t3_events` | 1 | close passes of the ego with another, under 1.5 s |
 | `t3_events_1s` | 1 | those under 1.0 s |
 | `t2_t3_events` | 1 | T2, and T3 under 1.5 s |
-| `others_braking` | m/s2 | the hardest braking of anybody for the ego, over 0.3 s; 0: nobody braked |
+| `others_braking` | m/s2 | the hardest braking of anybody for the ego, over 0.3 s; 0: none |
 | `missed_gaps` | 1 | see `missed_gaps` |
 | `standing` | share | of the time to cross: slower than 0.5 m/s |
-| `jerk_rms`, `jerk_p95` | m/s3 | of the ego until it has crossed: root mean square, and 95 % quantile |
+| `jerk_rms`, `jerk_p95` | m/s3 | of the ego until it has crossed: root mean square, 95 % quantile |
 
 A crossing is the first junction of the ego's way, with those that follow within 50 m of each other
 (`way`). Events, and what others brake, are looked at until 3 s after it. For whom somebody braked
@@ -65,9 +65,8 @@ def drive_measures(drive: Drive, limit_s: float) -> dict[str, float]:
     is_crossed = drive.end == CROSSED
     begin = drive.begin_frame
     own = [event for event in severe_events(driven) if drive.ego_id in _pair(event)]
-    passes_s = [
-        event.encroachment_s or 0.0 for event in close_passes(driven) if drive.ego_id in _pair(event)
-    ]
+    passes = [event for event in close_passes(driven) if drive.ego_id in _pair(event)]
+    passes_s = [event.encroachment_s or 0.0 for event in passes]
     t2 = sum(event.tier == "T2" for event in own)
     t3 = sum(gap_s < CLOSE_S for gap_s in passes_s)
     speed_mps = _speed_mps(drive, ego)

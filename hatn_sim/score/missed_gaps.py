@@ -49,9 +49,7 @@ class Start:
     yaw_rad: FloatArray  # [K]
 
 
-def start_of(
-    frame: int, way: Way, speed_mps: float, length_m: float, at_red: bool
-) -> Start | None:
+def start_of(frame: int, way: Way, speed_mps: float, length_m: float, at_red: bool) -> Start | None:
     """The start that would be possible now; None where the vehicle does not wait."""
     crossing = way.first_crossing
     if crossing is None or at_red or speed_mps >= SLOW_MPS:

@@ -13,6 +13,10 @@ from hatn_sim.score.closed_loop import UNITS
 from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
 FORMAT: Final = 1
+REFERENCE: Final = "sumo_driver"
+"""The row of the simulator's own driver, who knows more than any predictor."""
+ORACLE: Final = "oracle"
+"""The row of the predictor that is told the future."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class DrivenEgo:
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """A mean of the predictor's over samples of the reference, in which everybody drives himself."""
+    """A mean of the predictor's over samples of the reference, in which nobody is driven."""
 
     measure: str
     subset: str
