@@ -22,6 +22,7 @@ from hatn_sim.datatypes import (
     Agent,
     Command,
     Frame,
+    Guided,
     Prediction,
     Predictor,
     Scene,
@@ -162,14 +163,23 @@ def begin_to_drive(agent: Agent, ego_id: str, road: Road, scene: Scene) -> Any:
 
 
 def decide(
-    agent: Agent, memory: Any, ego_id: str, scene: Scene, advice: Advice
+    agent: Agent, state: Any, ego_id: str, frame: Frame, advice: Advice
 ) -> tuple[Any, Command | None]:
     """Ask an agent once. InputError where somebody's own agent fails, or commands nonsense."""
+    scene = frame.scene
     with _named(f"the agent of {ego_id!r}", agent, scene):
-        memory, command = agent.step(memory, ego_id, scene, advice)
+        told = guided(agent, state, ego_id, frame)
+        state, command = agent.step(told, ego_id, scene, advice)
     if command is not None:
         check_command(command, ego_id, scene)
-    return memory, command
+    return state, command
+
+
+def guided(agent: Agent, state: Any, ego_id: str, frame: Frame) -> Any:
+    """The memory of an agent that has been told the way it is to drive, if it asks for that."""
+    if not isinstance(agent, Guided) or ego_id not in frame.scene.ids:
+        return state
+    return agent.guide(state, frame.truth.routes[frame.scene.ids.index(ego_id)])
 
 
 def check_command(command: Command, ego_id: str, scene: Scene) -> None:
@@ -263,7 +273,7 @@ def run(
             if driver.from_s is not None and frame.scene.time_s < driver.from_s - ROUNDING_S:
                 continue
             driver_states[ego_id], command = decide(
-                driver.agent, driver_states[ego_id], ego_id, frame.scene, shown
+                driver.agent, driver_states[ego_id], ego_id, frame, shown
             )
             if command is not None:
                 commands.append(command)

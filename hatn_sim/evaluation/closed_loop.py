@@ -275,7 +275,7 @@ def _drive(plan: SeedPlan, row: str, ego_id: str, simulator: Simulator, steps: _
         commands = ()
         if ego_id in frame.scene.ids:
             state, advice = tick(adviser, state, frame)
-            memory, command = decide(agent, memory, ego_id, frame.scene, advice)
+            memory, command = decide(agent, memory, ego_id, frame, advice)
             commands = () if command is None else (command,)
         frame = simulator.step(commands)
         recorder.see(frame)
