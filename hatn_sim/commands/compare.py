@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from hatn_sim.score.closed_loop_rows import DrivenRow
 
 EXAMPLES = """examples:
-  hatn-sim compare --agent mpc --predictors constant_velocity,hatn --scenes intersection5,roundabout8
-  hatn-sim compare --agent mpc --predictors constant_velocity,idm,hatn,oracle --scenes intersection5 \
---seeds 701-800 --out closed-loop
+  hatn-sim compare --agent mpc --predictors constant_velocity,hatn --scenes intersection5
+  hatn-sim compare --predictors constant_velocity,idm,hatn,oracle --seeds 701-800 --out closed-loop
 """
 HELD_OUT: Final = tuple(range(701, 721))
 PREDICTORS: Final = ("constant_velocity", "hatn")

@@ -35,12 +35,12 @@ from hatn_sim.envs.options import read_options
 from hatn_sim.envs.reward import Terms, has_collided, terms_of
 from hatn_sim.envs.seen import Seen
 from hatn_sim.envs.traffic import ego_of, scenario_of, warm_up_s
-from hatn_sim.way import Way, way_along
 from hatn_sim.errors import InputError
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
 from hatn_sim.predictors.find import load_predictor
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.traffic import open_traffic
+from hatn_sim.way import Way, way_along
 
 if TYPE_CHECKING:
     from hatn_sim.envs.view import View
