@@ -13,7 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.profile import COMFORT_BRAKING_MPS2
 from hatn_sim.datatypes import DT_S, Advice, Command, FloatArray, Route, Scene
+from hatn_sim.planning.courtesy import heedless
 from hatn_sim.planning.doubt import Doubt, doubts_m, learn
 from hatn_sim.planning.occupancy import contact_probability, ego_boxes, predicted_occupancy
 from hatn_sim.planning.situation import DriverState, Situation, begin_driving, guide, look
@@ -25,6 +27,10 @@ RISK_S: Final = 60.0
 """Seconds that the ego would lose rather than collide: 1 % of risk is worth 0.6 s."""
 HARSH_S: Final = 0.02
 """Seconds for one (m/s2)^2 of mean squared acceleration."""
+HARD_S: Final = 0.5
+"""Seconds for each m/s2 by which the hardest braking is beyond comfort."""
+TOO_RISKY_S: Final = 600.0
+"""As `RISK_S`, of what is beyond `MOST_RISK`."""
 MARGIN_M: Final = 0.3
 LEAST_MPS: Final = 5.0
 """Way lost is time lost at the speed of the road, at least at this."""
@@ -57,6 +63,8 @@ class Agent:
         along_m, across_m = doubts_m(doubt, scene)
         others = predicted_occupancy(now, advice.prediction, along_m, across_m)
         contact = contact_probability(ego_boxes(now, ways.travelled_m), others, MARGIN_M)
+        contact *= heedless(now, ways.travelled_m, others)
+        contact = (contact * others.probability).sum(axis=2)  # over modes
         risk = 1.0 - np.prod(1.0 - contact, axis=1)
         best = int(cost_s(now, ways, risk).argmin())
         acceleration = float(ways.speed_mps[best, 0] - now.speed_mps) / DT_S
@@ -67,6 +75,8 @@ def cost_s(now: Situation, ways: Ways, risk: FloatArray) -> FloatArray:
     """What each way [R] costs, in seconds; those of too much risk more than any other."""
     lost_m = ways.travelled_m[:, -1].max() - ways.travelled_m[:, -1]
     lost_s = lost_m / max(float(now.allowed_mps[:10].mean()), LEAST_MPS)
-    harsh = np.mean(ways.acceleration_mps2**2, axis=1)
-    too_much = np.where(risk > MOST_RISK, 1e3, 0.0)
-    return np.asarray(lost_s + RISK_S * risk + HARSH_S * harsh + too_much)
+    acceleration = ways.acceleration_mps2
+    harsh_s = HARSH_S * np.mean(acceleration**2, axis=1)
+    harsh_s += HARD_S * np.maximum(-acceleration.min(axis=1) - COMFORT_BRAKING_MPS2, 0.0)
+    risk_s = RISK_S * risk + TOO_RISKY_S * np.maximum(risk - MOST_RISK, 0.0)
+    return np.asarray(lost_s + harsh_s + risk_s)

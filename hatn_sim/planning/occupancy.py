@@ -25,6 +25,9 @@ NEAR_M: Final = 70.0
 """Others farther away are not met within 5 s."""
 OFF_LINE_M: Final = 2.0
 """Whoever is predicted farther than this from its line drives on straight."""
+STRAY_M: Final = 0.3
+"""Whose line does not meet the ego's keeps to its lane, this standard deviation apart: what is not
+known of the others is mostly where they turn."""
 STILL_M: Final = 0.05
 LEAST_MODE: Final = 0.01
 
@@ -33,6 +36,7 @@ LEAST_MODE: Final = 0.01
 class Occupancy:
     """The boxes of others at `TIMES_S`, one for each mode, and how far off they may be."""
 
+    vehicle: IntArray  # [J] rows of the scene
     probability: FloatArray  # [J, K] of modes
     boxes: Boxes  # [J, K, G]
     along_m: FloatArray  # [J, G] standard deviation in the direction of each
@@ -53,10 +57,15 @@ def predicted_occupancy(
     probability = prediction.mode_probability[others]
     size = np.broadcast_to(now.scene.size_m[others][:, None, None], path.shape)
     return Occupancy(
+        vehicle=others,
         probability=probability / np.maximum(probability.sum(axis=1, keepdims=True), 1e-9),
         boxes=Boxes(path, _headings(now, others, path), size),
         along_m=along_m[others],
-        across_m=across_m[others],
+        across_m=np.where(
+            np.isin(others, now.meetings.other)[:, None],
+            across_m[others],
+            np.minimum(across_m[others], STRAY_M),
+        ),
     )
 
 
@@ -123,7 +132,7 @@ def ego_boxes(now: Situation, travelled_m: FloatArray) -> Boxes:
 
 
 def contact_probability(ego: Boxes, others: Occupancy, margin_m: float) -> FloatArray:
-    """[R, J]: of each way of the ego [R, G], that it ends in contact with each of the others.
+    """[R, J, K]: of ways of the ego [R, G], to end in contact with others if they drive so.
 
     Positions are normal about the predicted ones, so that the overlap of boxes along one axis has a
     closed form. Boxes meet only where they overlap along the axes of either: the less likely of the
@@ -144,9 +153,9 @@ def contact_probability(ego: Boxes, others: Occupancy, margin_m: float) -> Float
     yaw = ego.yaw_rad[:, None]
     of_ego = _overlap(away, yaw, half, other_half, cos, sin, lengthwise, sideways)
     likeliest = np.minimum(of_other, of_ego).max(axis=-1)  # [R, B]
-    out = np.zeros((len(likeliest), len(others.probability)))
-    np.add.at(out.T, mode[0], (likeliest * others.probability[mode]).T)
-    return np.asarray(np.minimum(out, 1.0))
+    out = np.zeros((len(likeliest), *others.probability.shape))
+    out[:, mode[0], mode[1]] = likeliest
+    return out
 
 
 def _overlap(
