@@ -261,9 +261,10 @@ def _drive(plan: SeedPlan, row: str, ego_id: str, simulator: Simulator, steps: _
         frame = simulator.step()
         before.append(frame)
     predictor = BranchOracle(simulator, ego_id) if row == ORACLE else _predictor(plan, row)
-    adviser = Adviser(predictor, egos=frozenset({ego_id}))
-    state = begin(adviser, simulator.road)
     agent = load_agent(plan.agent)
+    is_advised = getattr(agent, "reads_suggestions", True)
+    adviser = Adviser(predictor, egos=frozenset({ego_id} if is_advised else ()))
+    state = begin(adviser, simulator.road)
     memory = begin_to_drive(agent, ego_id, simulator.road, frame.scene)
     recorder = DriveRecorder(ego_id, simulator.road, plan.limit_s)
     for earlier in list(before)[:-1]:

@@ -60,9 +60,7 @@ def sample_ways(now: Situation, prediction: Prediction, acceleration_mps2: float
     """
     places, paces, evenly = _places(now), len(PACES), len(STOPS_MPS2)
     stops_m = SHORT_M + now.speed_mps**2 / (2.0 * STOPS_MPS2)
-    at_m = np.concatenate(
-        ([np.inf] * (1 + paces), np.repeat(places, len(WAITS_S)), stops_m, [0.0])
-    )
+    at_m = np.concatenate(([np.inf] * (1 + paces), np.repeat(places, len(WAITS_S)), stops_m, [0.0]))
     open_s = np.concatenate(
         (np.zeros(1 + paces), np.tile(WAITS_S, len(places)), np.full(evenly + 1, FAR_S))
     )

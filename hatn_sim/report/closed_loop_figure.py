@@ -26,6 +26,8 @@ UP: Final = {
 WIDTH_IN: Final = 10.5
 ROW_IN: Final = 3.1
 EDGES_IN: Final = 0.9
+LEAST_EVENTS: Final = 0.1
+"""No axis of events ends lower: where there were none, that is seen."""
 
 _ByKey = Mapping[tuple[str, str, str, str], Score]
 
@@ -56,6 +58,8 @@ def draw_closed_loop(scores: Sequence[Score], agent: str, paths: Sequence[Path])
             rule(axes)
             axes.margins(0.12)
             axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+            if measure != "time_to_cross":
+                axes.set_ylim(bottom=0.0, top=max(axes.get_ylim()[1], LEAST_EVENTS))
             axes.set_ylabel(label, color=INK, fontsize=9)
         row[0].set_title(scene, loc="left", fontsize=10.5, color=INK)
     for axes in grid[-1]:
