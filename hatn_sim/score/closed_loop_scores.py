@@ -212,14 +212,14 @@ def _ranks(
             name: next((v for k, v in terms[name].items() if k[:2] == (measure, subset)), None)
             for name in predictors
         }
-        known = {name: of for name, of in opened.items() if of}
+        known = {name: of for name, of in opened.items() if of and drives[name].keys}
+        count = len(known)
         for closed in CLOSED_MEASURES:
-            sums, count = _ranked_sums(known, drives, closed), len(known)
+            is_ranked = count >= FEWEST_RANKED
+            sums = _ranked_sums(known, drives, closed) if is_ranked else np.zeros((0, 4 * count))
             pair = f"{measure}, {closed}"
             for rank, statistic in (("spearman", spearman), ("kendall", kendall)):
-                of_means = _of_means(statistic, count)
-                sums = sums if count >= FEWEST_RANKED else sums[:0]
-                yield _score(rank, ALL, scene, pair, "1", sums, of_means, count)
+                yield _score(rank, ALL, scene, pair, "1", sums, _of_means(statistic, count), count)
 
 
 def _ranked_sums(
@@ -235,7 +235,7 @@ def _ranked_sums(
         one = drives[name]
         for (place, _), value in zip(one.keys, one.values[closed].tolist(), strict=True):
             sums.setdefault(place, np.zeros((len(known), 4)))[k, 2:] += (value, 1.0)
-    return np.array([each.ravel() for each in sums.values()]).reshape(-1, 4 * len(known))
+    return np.array([each.ravel() for each in sums.values()])
 
 
 def _of_means(statistic: Statistic, count: int) -> Statistic:
