@@ -265,7 +265,7 @@ def test_intervals_and_ranks_over_many_seeds() -> None:
     # The oracle's error is known to be none, but it has not driven: three are ranked.
     rank = next(s for s in scores if s.measure == "kendall" and "time_to_cross" in s.subset)
     assert (rank.value, rank.n) == (pytest.approx(1.0), 3)
-    assert (rank.low, rank.high) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert rank.low is None, "every draw comes to the same"
     ade = {s.predictor: s.value for s in scores if s.measure == "ade_3s"}
     assert ade == {
         "a": pytest.approx(0.1),

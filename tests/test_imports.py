@@ -43,8 +43,11 @@ LAYERS = (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
         *("perception", "speed_profile", "tracks", "way"),
     ),
-    ("assist", "hatn", "predictors"),
-    ("evaluation", "learn", "log", "loop", "recordings", "report", "score", "traffic"),
+    ("assist", "hatn", "planning", "predictors"),
+    (
+        *("conformance", "evaluation", "learn", "log", "loop", "recordings", "report", "score"),
+        "traffic",
+    ),
     ("bench", "bench_branch", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
 )
 """A module may import from its own layer and from those above it in this list, never below."""

@@ -28,10 +28,8 @@ START_MPS2: Final = 1.5
 
 def safe_acceleration(now: Situation, halt_m: float = np.inf) -> float:
     """What the IDM does of a moment, stopping `halt_m` from here at the latest, in m/s2."""
-    stop_m = now.stop_m - STOP_BEFORE_M
-    if now.speed_mps**2 > 2.0 * TOO_LATE_MPS2 * max(stop_m, 0.01):
-        stop_m = np.inf
-    stop_m = min(stop_m, halt_m)
+    too_late = now.speed_mps**2 > 2.0 * TOO_LATE_MPS2 * max(now.stop_m, 0.01)
+    stop_m = min(np.inf if too_late else now.stop_m - STOP_BEFORE_M, halt_m)
     gap_m = np.array([now.gap_m, stop_m + STANDSTILL_M])
     closing_mps = now.speed_mps - np.array([now.leader_mps, 0.0])
     desired_mps = min(DESIRED_SPEED_MPS, float(now.allowed_mps[0]))

@@ -18,7 +18,7 @@ from hatn_sim.perception import CORRIDOR_M, CORRIDOR_RAD
 from hatn_sim.planning.situation import Situation
 
 STEP_FRAMES: Final = 2
-TIMES_S: Final[FloatArray] = STEP_FRAMES * DT_S * np.arange(1, 26)
+TIMES_S: Final[FloatArray] = STEP_FRAMES * DT_S * np.arange(1.0, 26.0)
 """5 s; beyond the predicted 3 s, others drive on at their last speed along their line."""
 PREDICTED: Final = HORIZON_FRAMES // STEP_FRAMES
 NEAR_M: Final = 70.0

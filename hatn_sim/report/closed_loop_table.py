@@ -70,13 +70,13 @@ def closed_loop_table(scores: Sequence[Score], agent: str, predictors: Sequence[
         head = f"{scene}, {agent}, {first.n:,} drives"
         parts += [_table(f"{head}: time and safety", SAFETY, rows, by_key, scene), Text()]
         parts += [_table(f"{head}: gaps and comfort", COMFORT, rows, by_key, scene), Text()]
-        parts += [_changes(f"{head}: less {baseline}", others, by_key, scene), Text()]
+        parts += [_changes(f"{head}: minus {baseline}", others, by_key, scene), Text()]
         opened = dict.fromkeys(predictors, "all")
         title = f"{scene}: open loop, nobody driven, all samples"
         parts += [_table(title, OPEN, opened, by_key, scene), Text()]
         parts += [*_ranks(scene, len(predictors), by_key), Text()]
     note = (
-        "mean of a drive over its 95 % interval, bootstrapped over seeds (none below five); "
+        "mean of a drive over its 95 % interval, over seeds (none below five, or where all are alike); "
         "T3: encroachment under 1.5 s; who never crosses counts with the limit; m/s2 and m/s3"
     )
     if ORACLE in predictors:
@@ -107,8 +107,7 @@ def _changes(title: str, rows: Mapping[str, str], by_key: _ByKey, scene: str) ->
         for measure in CHANGES:
             change = by_key.get((scene, subset, name, measure + CHANGE))
             share = by_key.get((scene, subset, name, measure + RELATIVE_CHANGE))
-            relative = "" if share is None or share.value is None else f"{share.value:+.0%}"
-            cells.append(f"{_cell(change, sign='+')}\n{relative}".rstrip())
+            cells.append(f"{_cell(change, '+')}\n{_percent(share)}".rstrip())
         table.add_row(name.replace("_", " "), *cells)
     return table
 
@@ -152,6 +151,16 @@ def _cell(score: Score | None, sign: str = "") -> str:
         low, high = (_number(v, score.unit, sign).rstrip(" %s") for v in (score.low, score.high))
         cell += f"\n[{low} {high}]"
     return cell
+
+
+def _percent(score: Score | None) -> str:
+    """A relative change with its interval, on one line."""
+    if score is None or score.value is None:
+        return ""
+    told = f"{score.value:+.0%}"
+    if score.low is not None and score.high is not None:
+        told += f" [{100.0 * score.low:+.0f} {100.0 * score.high:+.0f}]"
+    return told
 
 
 def _number(value: float, unit: str, sign: str) -> str:

@@ -12,7 +12,8 @@ loop.
 
 Closed-loop scores have the agent as their subset, the simulator's own driver has himself; rank
 correlations have the two measures ("ade_3s, time_to_cross"), the open-loop ones their samples.
-Intervals are bootstrapped over seeds, with all their drives; below five seeds there are none. Of
+Intervals are bootstrapped over seeds, with all their drives; there are none below five seeds, nor
+where every draw comes to the same. Of
 the rank correlation everything is drawn again together, but not the predictors: it says how sure
 the order of these predictors is, not what others would do. Kendall's is tau-b.
 """
@@ -41,8 +42,9 @@ from hatn_sim.score.intervals import (
 ALL: Final = "all"
 CHANGE: Final = "_change"
 RELATIVE_CHANGE: Final = "_relative_change"
-COUNTED: Final = ("crossed", "collisions")
-"""At most one in a drive: shares, whose interval is known even where all are alike."""
+SHARES: Final = ("crossed",)
+COUNTS: Final = tuple(name for name, unit in UNITS.items() if unit == "1")
+"""Where none was counted, the interval is that of the share of drives with one."""
 OPEN_MEASURES: Final = (("ade_3s", "all"), ("fde_3s", "all"), ("slot_accuracy", "all"))
 CLOSED_MEASURES: Final = ("time_to_cross", "t2_t3_events", "collisions")
 """Whose ranks are held against each other."""
@@ -164,12 +166,19 @@ def _score(
     value = float(statistic(sums.sum(axis=0))) if len(sums) else np.nan
     if not np.isfinite(value):
         return Score(measure, name, scene, subset, "none", None, unit, 0, None, None)
-    bounds = None
-    if len(sums) >= MIN_RUNS:
-        is_share = measure in COUNTED and (sums[:, 0] <= sums[:, 1]).all()
-        bounds = share_interval(sums) if is_share else interval(sums, statistic)
-    low, high = bounds or (None, None)
+    low, high = (_bounds(measure, sums, statistic) if len(sums) >= MIN_RUNS else None) or (
+        None,
+        None,
+    )
     return Score(measure, name, scene, subset, "none", value, unit, n, low, high)
+
+
+def _bounds(measure: str, sums: FloatArray, statistic: Statistic) -> tuple[float, float] | None:
+    """The interval; None where all draws come to the same, which says nothing of how sure it is."""
+    if measure in SHARES or (measure in COUNTS and not sums[:, 0].any()):
+        return share_interval(sums)
+    found = interval(sums, statistic)
+    return None if found is None or found[0] == found[1] else found
 
 
 # ---------------------------------------------------------------------------------------------
