@@ -282,8 +282,8 @@ def test_rank_correlations_are_those_of_scipy() -> None:
         pairs[:, :, 0] += 0.5
         for one, rho, tau in zip(pairs, spearman(pairs), kendall(pairs), strict=True):
             if len(set(one[0])) > 1 and len(set(one[1])) > 1:
-                assert rho == pytest.approx(spearmanr(*one).statistic)
-                assert tau == pytest.approx(kendalltau(*one).statistic)
+                assert rho == pytest.approx(spearmanr(*one)[0])
+                assert tau == pytest.approx(kendalltau(*one)[0])
     assert np.isnan(spearman(np.array([[1.0, 1.0, 1.0], [1.0, 2.0, 3.0]])))
     assert np.isnan(kendall(np.array([[1.0, np.nan, 2.0], [1.0, 2.0, 3.0]])))
 

@@ -76,7 +76,7 @@ def closed_loop_table(scores: Sequence[Score], agent: str, predictors: Sequence[
         parts += [_table(title, OPEN, opened, by_key, scene), Text()]
         parts += [*_ranks(scene, len(predictors), by_key), Text()]
     note = (
-        "mean of a drive over its 95 % interval, over seeds (none below five, or where all are alike); "
+        "mean of a drive over its 95 % interval over seeds (none below five, or all alike); "
         "T3: encroachment under 1.5 s; who never crosses counts with the limit; m/s2 and m/s3"
     )
     if ORACLE in predictors:
