@@ -22,7 +22,6 @@ from hatn_sim.datatypes import Advice, Agent, Command, Frame, Guided, Predictor,
 from hatn_sim.loop import Adviser, begin, check_command, guided, tick
 
 SAME_MPS2: Final = 1e-3
-STRONGEST_MPS2: Final = 15.0
 
 
 def check_agent(
@@ -79,6 +78,11 @@ def _framed(frames: Sequence[Frame], scenes: Sequence[Scene]) -> list[Frame]:
     return out
 
 
+def _copied(frames: Sequence[Frame]) -> list[Frame]:
+    """What is written into these is another point's affair."""
+    return _framed(frames, [copy_of(frame.scene) for frame in frames])
+
+
 def _drive(
     agent: Agent, footage: Footage, frames: Sequence[Frame], advice: Sequence[Advice]
 ) -> Iterator[tuple[Any, Any, Command | None]]:
@@ -101,6 +105,7 @@ def _runner(
     agent: Agent, footage: Footage, predictor: Predictor
 ) -> Callable[[Sequence[Frame]], Commands]:
     def run(frames: Sequence[Frame]) -> Commands:
+        frames = _copied(frames)
         advice = _advise(footage, frames, predictor)
         return [command for _, _, command in _drive(agent, footage, frames, advice)]
 
@@ -110,13 +115,6 @@ def _runner(
 def _check_commands(agent: Agent, footage: Footage, predictor: Predictor) -> str:
     commands = _runner(agent, footage, predictor)(footage.frames)
     given = [command.acceleration_mps2 for command in commands if command is not None]
-    strongest = max(map(abs, given), default=0.0)
-    if strongest > STRONGEST_MPS2:
-        raise BrokenError(
-            f"no acceleration beyond {STRONGEST_MPS2:g} m/s2",
-            f"{strongest:.1f}",
-            "bound it to what a vehicle can do",
-        )
     if not given:
         return "leaves its vehicle to the simulator"
     return f"{len(given)} of {len(commands)} frames, {min(given):.1f} to {max(given):.1f} m/s2"
@@ -147,7 +145,8 @@ def _same(one: Commands, two: Commands, who: str) -> None:
 
 
 def _check_memory(agent: Agent, footage: Footage, predictor: Predictor) -> None:
-    ego_id, frames = footage.longest, footage.frames
+    ego_id = footage.longest
+    frames = _copied(footage.frames)
     advice = _advise(footage, frames, predictor)
     done = list(_drive(agent, footage, frames, advice))
     for frame in (1, len(frames) // 2):
@@ -157,8 +156,10 @@ def _check_memory(agent: Agent, footage: Footage, predictor: Predictor) -> None:
 
 
 def _check_input(agent: Agent, footage: Footage, predictor: Predictor) -> None:
-    given = _framed(footage.frames, [copy_of(scene) for scene in footage.scenes])
-    _runner(agent, footage, predictor)(given)
+    given = _copied(footage.frames)
+    advice = _advise(footage, given, predictor)
+    for _ in _drive(agent, footage, given, advice):
+        pass
     for frame, scene in zip(given, footage.scenes, strict=True):
         part = differs_in(frame.scene, scene)
         if part is not None:
@@ -166,9 +167,10 @@ def _check_input(agent: Agent, footage: Footage, predictor: Predictor) -> None:
 
 
 def _time(agent: Agent, footage: Footage, predictor: Predictor) -> str:
-    advice = _advise(footage, footage.frames, predictor)
+    frames = _copied(footage.frames)
+    advice = _advise(footage, frames, predictor)
     taken_s, began = list[float](), time.perf_counter()
-    for _ in _drive(agent, footage, footage.frames, advice):
+    for _ in _drive(agent, footage, frames, advice):
         taken_s.append(time.perf_counter() - began)
         began = time.perf_counter()
     asks = "is told its way" if isinstance(agent, Guided) else "is not told its way"

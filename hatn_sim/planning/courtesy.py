@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import BoolArray, FloatArray
+from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
 from hatn_sim.planning.occupancy import TIMES_S, Occupancy
 from hatn_sim.planning.situation import Situation
 
@@ -41,9 +41,10 @@ def heedless(now: Situation, travelled_m: FloatArray, others: Occupancy) -> Floa
     step_m = np.linalg.norm(np.diff(path, axis=2), axis=3)  # [Q, K, G]
     speed = step_m / TIMES_S[0]
     needed_m = np.cumsum(step_m, axis=2) + speed * REACTION_S + speed**2 / (2.0 * GENTLE_MPS2)
-    can_stop = needed_m <= met.other_room_m[known, None, None]
+    can_stop: BoolArray = np.asarray(needed_m <= met.other_room_m[known, None, None])
     inside = travelled_m[:, None, :] > met.room_m[known, None]  # [R, Q, G]
-    enters, ever = inside.argmax(axis=2), inside.any(axis=2)
+    enters: IntArray = np.argmax(inside, axis=2)
+    ever: BoolArray = np.any(inside, axis=2)
     lets = can_stop[np.arange(len(row)), :, enters] & ever[..., None]  # [R, Q, K]
     share = np.where(gives_way[known], LAWLESS, RUDE)[:, None]
     out[:, row] = np.where(lets, share, 1.0)

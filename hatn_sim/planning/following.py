@@ -57,8 +57,7 @@ def halt_before_m(now: Situation) -> float:
     blocked = moving & ~met.gives_way
     blocked &= (comes_s < clear_s + GAP_S) & (leaves_s + BEHIND_S > enters_s)
     ahead_m = met.room_m - SHORT_M
-    can_stop = now.speed_mps**2 <= 2.0 * TOO_LATE_MPS2 * np.maximum(ahead_m, 0.01)
-    can_stop |= (now.speed_mps < STANDING_MPS) & (met.room_m > 0.0)
+    can_stop = now.speed_mps**2 <= 2.0 * TOO_LATE_MPS2 * np.maximum(met.room_m, 0.01)
     waits = (blocked | inside) & (met.room_m > 0.0) & can_stop
     return float(np.where(waits, np.maximum(ahead_m, 0.0), np.inf).min(initial=np.inf))
 
