@@ -9,6 +9,8 @@ from hatn_sim.road import Road
 class Agent:
     """Holds a speed by commanding the acceleration that restores it within one tick."""
 
+    reads_suggestions = False
+
     def init(self, road: Road) -> float | None:
         return None
 

@@ -15,6 +15,8 @@ from hatn_sim.road import Road
 class Agent:
     """The intelligent driver model, with accepted time gaps where lines meet."""
 
+    reads_suggestions = False
+
     def init(self, road: Road) -> DriverState:
         return begin_driving(road)
 

@@ -9,6 +9,8 @@ from hatn_sim.road import Road
 class Agent:
     """Never commands anything."""
 
+    reads_suggestions = False
+
     def init(self, road: Road) -> None:
         return None
 

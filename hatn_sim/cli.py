@@ -24,6 +24,7 @@ VERBS: Final = {
     "export": "write the tracks of a run as INTERACTION or SUMO floating car data",
     "assess": "judge alerts and suggestions over many runs by what really happened",
     "evaluate": "score predictors on many runs side by side, and print the tables of the paper",
+    "compare": "drive vehicles by an agent with several predictors: which of them drives best?",
     "net": "build a SUMO net from a Lanelet2 map or another map, in the map's own frame",
     "train": "train HATN on simulated or recorded traffic and write its weights",
     "scenarios": "list the scenes that ship, with their measured figures",

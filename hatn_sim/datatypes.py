@@ -501,7 +501,11 @@ class Predictor(Protocol):
 
 
 class Agent(Protocol):
-    """Decides for one vehicle; None leaves the vehicle to the simulator's own driver."""
+    """Decides for one vehicle; None leaves the vehicle to the simulator's own driver.
+
+    An agent may have `reads_suggestions`: where that is False, it reads predictions at most, and
+    where nobody else asks for suggestions and alerts, these are not worked out.
+    """
 
     def init(self, road: Road) -> Any: ...
 

@@ -166,6 +166,25 @@ def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
         raise InputError(f"{where}: the prediction for {first!r} is not finite; mend the predictor")
 
 
+def begin_to_drive(agent: Agent, ego_id: str, road: Road, scene: Scene) -> Any:
+    """The agent's first memory. InputError where somebody's own agent fails."""
+    with _named(f"the agent of {ego_id!r}", agent, scene):
+        return agent.init(road)
+
+
+def decide(
+    agent: Agent, state: Any, ego_id: str, frame: Frame, advice: Advice
+) -> tuple[Any, Command | None]:
+    """Ask an agent once. InputError where somebody's own agent fails, or commands nonsense."""
+    scene = frame.scene
+    with _named(f"the agent of {ego_id!r}", agent, scene):
+        told = guided(agent, state, ego_id, frame)
+        state, command = agent.step(told, ego_id, scene, advice)
+    if command is not None:
+        check_command(command, ego_id, scene)
+    return state, command
+
+
 def guided(agent: Agent, state: Any, ego_id: str, frame: Frame) -> Any:
     """The memory of an agent that has been told the way it is to drive, if it asks for that."""
     if not isinstance(agent, Guided) or ego_id not in frame.scene.ids:
@@ -268,10 +287,10 @@ def run(
         raise ValueError("drivers need advice on every frame")
     road = simulator.road
     states = [begin(adviser, road) for adviser in advisers]
-    driver_states: dict[str, Any] = {}
-    for ego_id, driver in drivers.items():
-        with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
-            driver_states[ego_id] = driver.agent.init(road)
+    driver_states = {
+        ego_id: begin_to_drive(driver.agent, ego_id, road, frame.scene)
+        for ego_id, driver in drivers.items()
+    }
     done = 0
     for index in range(frames):
         advice: dict[str, Advice] = {}
@@ -291,11 +310,10 @@ def run(
             shown = advice[advisers[MAIN].predictor.name]
             if driver.from_s is not None and frame.scene.time_s < driver.from_s - ROUNDING_S:
                 continue
-            with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
-                told = guided(driver.agent, driver_states[ego_id], ego_id, frame)
-                driver_states[ego_id], command = driver.agent.step(told, ego_id, frame.scene, shown)
+            driver_states[ego_id], command = decide(
+                driver.agent, driver_states[ego_id], ego_id, frame, shown
+            )
             if command is not None:
-                check_command(command, ego_id, frame.scene)
                 commands.append(command)
         frame = simulator.step(commands)
     return done

@@ -54,13 +54,13 @@ from hatn_sim.envs.observation import (
 from hatn_sim.envs.options import RewardWeights, read_options
 from hatn_sim.envs.reward import terms_of
 from hatn_sim.envs.scene_env import SceneEnv
-from hatn_sim.envs.way import way_along
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.resources import scenarios_dir
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.traffic import open_traffic
+from hatn_sim.way import way_along
 
 CORRIDOR = ("w", "we", "e")
 ACROSS = ("s", "sn", "n")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import hatn_sim
-from hatn_sim.evaluation.made_by import NO_PART_IN_RUNS
+from hatn_sim.evaluation.made_by import NO_PART_IN_DRIVES, NO_PART_IN_RUNS
 
 PACKAGE = Path(hatn_sim.__file__).parent
 
@@ -43,7 +43,7 @@ LAYERS = (
     ("config", "conflict_table", "conflicts", "lane_graph", "lane_index", "road", "simulators"),
     (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
-        *("perception", "speed_profile", "tracks"),
+        *("perception", "speed_profile", "tracks", "way"),
     ),
     ("assist", "hatn", "planning", "predictors"),
     (
@@ -164,14 +164,23 @@ def all_imports(*modules: str) -> set[str]:
     return found
 
 
-def test_the_source_that_an_assessed_run_comes_of_is_all_that_it_imports() -> None:
+@pytest.mark.parametrize(
+    ("module", "no_part"),
+    [
+        ("evaluation.assessing", NO_PART_IN_RUNS),
+        ("evaluation.closed_loop", NO_PART_IN_DRIVES),
+    ],
+)
+def test_the_source_that_a_kept_run_comes_of_is_all_that_it_imports(
+    module: str, no_part: tuple[str, ...]
+) -> None:
     files = {
         name: path.relative_to(PACKAGE).as_posix()
         for path in sorted(PACKAGE.rglob("*.py"))
         if (name := module_name(path))
     }
-    used = all_imports("evaluation.assessing", "simulators.sumo_worker") - {""}
-    left_out = [name for name in used if files[name].startswith(NO_PART_IN_RUNS)]
+    used = all_imports(module, "simulators.sumo_worker") - {""}
+    left_out = [name for name in used if files[name].startswith(no_part)]
     assert left_out == []
 
 

@@ -11,8 +11,8 @@ from hatn_sim.datatypes import DT_S, Frame
 from hatn_sim.envs.mind import Mind, Thought
 from hatn_sim.envs.options import EnvOptions
 from hatn_sim.envs.reward import Terms, has_collided, terms_of
-from hatn_sim.envs.way import Way, way_along
 from hatn_sim.road import Road
+from hatn_sim.way import Way, way_along
 
 ARRIVED: Final = "arrived"
 COLLISION: Final = "collision"

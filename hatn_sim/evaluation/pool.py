@@ -26,6 +26,10 @@ _line: tuple[Any, Any] | None = None
 """Of a working process: the queue of what it tells, and the event that says it is to stop."""
 
 
+class WorkerKilledError(HatnSimError):
+    """A process was killed from outside, and with it all others."""
+
+
 class Stopped(Exception):  # noqa: N818 - nothing is wrong
     """Another item failed, or somebody pressed ctrl-C."""
 
@@ -65,7 +69,7 @@ def work_on(
     be ended (SIGTERM) is taken as ctrl-C, so that nothing is left behind.
 
     Raises:
-        HatnSimError: a process was killed, as by a machine that has no memory left.
+        WorkerKilledError: a process was killed, as by a machine that has no memory left.
     """
     workers = min(workers, len(items))
     if workers <= 1:
@@ -91,7 +95,7 @@ def work_on(
                 for future in ready:
                     yield waiting.pop(future), future.result()
         except BrokenProcessPool:
-            raise HatnSimError(
+            raise WorkerKilledError(
                 "a process was killed from outside, perhaps for lack of memory; try fewer --workers"
             ) from None
         finally:

@@ -171,7 +171,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
     shutil.rmtree(plan.out, ignore_errors=True)
     advisers = [
         # Nobody is advised: suggestions and alerts are not what is scored.
-        Adviser(_predictor(name, plan.weights, plan.adapt), plan.lines, frozenset())
+        Adviser(predictor_of_process(name, plan.weights, plan.adapt), plan.lines, frozenset())
         for name in plan.predictors
     ]
     with closing(open_traffic(plan.scenario)) as simulator:
@@ -203,7 +203,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
     return Made(frames, tuple(notices))
 
 
-def _predictor(name: str, weights: Path | None, adapt: str) -> Predictor:
+def predictor_of_process(name: str, weights: Path | None, adapt: str) -> Predictor:
     """A predictor for one run. Networks, which keep nothing of a run, are loaded once a process."""
     load = network_of_process if name in READS_WEIGHTS else load_predictor
     return load(name, weights, adapt)

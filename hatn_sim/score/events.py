@@ -99,7 +99,7 @@ def brakings(driven: Driven) -> list[Braking]:
     lost_mps2 = deceleration_mps2(driven)
     emergency = _marked(driven, driven.emergency_braking) & (lost_mps2 > 0.0)
     hard = (lost_mps2 >= EVASIVE_MPS2 - ROUNDING_MPS2) | emergency
-    evasive = _sustained(driven, lost_mps2) >= EVASIVE_MPS2 - ROUNDING_MPS2
+    evasive = sustained_mps2(driven, lost_mps2) >= EVASIVE_MPS2 - ROUNDING_MPS2
     row = np.flatnonzero(hard | (lost_mps2 >= BEYOND_COMFORT_MPS2 - ROUNDING_MPS2))
     if not len(row):
         return []
@@ -128,7 +128,7 @@ def deceleration_mps2(driven: Driven) -> FloatArray:
     return np.where(known, lost / np.where(known, step_s, 1.0), 0.0)
 
 
-def _sustained(driven: Driven, lost_mps2: FloatArray) -> FloatArray:
+def sustained_mps2(driven: Driven, lost_mps2: FloatArray) -> FloatArray:
     """[R] the largest mean over `SUSTAINED_FRAMES` frames in a row that the row is one of."""
     follows = driven.follows_on()
     mean, whole = lost_mps2.copy(), follows.copy()
