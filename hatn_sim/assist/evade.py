@@ -86,10 +86,10 @@ def _times(moment: Moment, pairs: Pairs, way_m: FloatArray) -> tuple[Times, Time
     """When either is where they meet, and when the other is [P, 2]: as predicted or, if it is to
     wait, as if it went on as now."""
     kept_m = kept_travel_m(moment.scene.speed_mps, acceleration_mps2(moment))
-    predicted, going_on = times_predicted(pairs, way_m), times_predicted(pairs, kept_m)
-    comes = predicted.enter_s < HOLDS_S
-    enter_s = np.where(comes, predicted.enter_s, going_on.enter_s)
-    leave_s = np.where(comes, predicted.leave_s, going_on.leave_s)
+    # Of two futures, [2, P, 2].
+    ways = times_predicted(pairs, np.stack((way_m, kept_m), axis=1))
+    comes = ways.enter_s[0] < HOLDS_S
+    enter_s, leave_s = (np.where(comes, *times) for times in (ways.enter_s, ways.leave_s))
     return Times(enter_s, leave_s), Times(enter_s[:, ::-1], leave_s[:, ::-1])
 
 
