@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -147,8 +148,12 @@ def test_a_suite_without_events_has_no_recall(
 
 
 def test_without_fork_a_run_goes_without_branches(
-    in_worker: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    in_worker: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delattr(os, "fork")
     in_worker.write_text(NO_FORK)
     out = tmp_path / "run"
     words = ["run", *ROUNDABOUT, "--duration", "1", "--counterfactuals", "1"]
@@ -159,8 +164,12 @@ def test_without_fork_a_run_goes_without_branches(
 
 
 def test_without_fork_runs_are_assessed_without_branches(
-    in_worker: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    in_worker: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delattr(os, "fork")
     in_worker.write_text(NO_FORK)
     words = ["assess", "--scenes", "tjunction", "--risk", "courteous", *ASSESS, "--json"]
     words += ["--rules", "hatn", "--counterfactuals", "1", "--out", str(tmp_path / "out")]
