@@ -308,7 +308,9 @@ def test_a_run_is_not_changed_by_being_judged(
             assert line["slot_id"] in ids and ids[0] == line["ego_id"]
             assert line["regret"] >= 0.0
     settings = json.loads((judged / "run.json").read_text())["settings"]["counterfactuals"]
-    assert settings["rate"] == 0.5 and settings["reaction_s"] == 1.0
+    assert (
+        settings["rates"] == {"alerts": 0.5, "suggestions": 0.5} and settings["reaction_s"] == 1.0
+    )
 
 
 def test_what_cannot_be_branched_is_run_without(

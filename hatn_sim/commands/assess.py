@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.options import (
     names,
+    rates,
     seconds,
     seconds_or_none,
     seeds,
-    share,
     whole_number,
 )
 from hatn_sim.resources import SUITES, scenes_of_suite
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from hatn_sim.evaluation.assessing import AssessPlan
     from hatn_sim.score.assessed import AssessedRun
     from hatn_sim.score.sweep import Operating
+    from hatn_sim.score.what_if import Rates
 
 EXAMPLES = """examples:
   hatn-sim assess --scenes intersection5,roundabout8 --risk courteous,inattentive --seeds 401-440
@@ -109,11 +110,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--counterfactuals",
-        type=share,
-        default=0.0,
+        type=rates,
         metavar="RATE",
         help="share of alerts and suggestions that are judged by branches of the simulation, up to "
-        "1 (default: none)",
+        "1; two of them as ALERTS,SUGGESTIONS (default: none)",
     )
     parser.add_argument(
         "--calibrate", action="store_true", help="fit the danger of alerts and seek their threshold"
@@ -225,6 +225,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
         duration_s = arguments.duration or (
             SUITE_DURATION_S if scenario.name in of_suites else DURATION_S
         )
+        judged: Rates | None = arguments.counterfactuals
         profile = "" if scenario.risk is None else f", {scenario.risk}"
         for seed in for_seeds:
             label = f"{scenario.name}{profile}, seed {seed}"
@@ -238,7 +239,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                 weights=arguments.weights,
                 rules=rules,
                 settings=settings,
-                counterfactuals=arguments.counterfactuals,
+                counterfactuals=judged,
                 keeps_signs=arguments.calibrate,
                 made_with={
                     "scene": scenario.name,
@@ -249,7 +250,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
                     "duration_s": duration_s,
                     "rules": list(rules),
                     "settings": asdict(settings),
-                    "counterfactuals": arguments.counterfactuals,
+                    "counterfactuals": None if judged is None else asdict(judged),
                     "weights": _sha256(arguments.weights),
                     "keeps_signs": arguments.calibrate,
                     "danger_network": None if arguments.calibrate else danger,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
     from hatn_sim.recordings.track_lines.source import Drawing
+    from hatn_sim.score.what_if import Rates
 
 WARM_UP_S: Final = 60.0
 """For traffic to build up in a shipped scene, unless told otherwise."""
@@ -27,6 +28,16 @@ def seconds(text: str) -> float:
     if not (math.isfinite(value) and value > 0):
         raise argparse.ArgumentTypeError(f"expected seconds above 0, found {text!r}")
     return value
+
+
+def rates(text: str) -> Rates:
+    """`RATE` of all advice, or `ALERTS,SUGGESTIONS`."""
+    from hatn_sim.score.what_if import Rates
+
+    parts = [share(part) for part in text.split(",")]
+    if len(parts) > 2:
+        raise argparse.ArgumentTypeError(f"expected RATE or ALERTS,SUGGESTIONS, found {text!r}")
+    return Rates(parts[0], parts[-1])
 
 
 def share(text: str) -> float:

@@ -30,9 +30,9 @@ from hatn_sim.commands.options import (
     chosen_seed,
     default_warm_up_s,
     names,
+    rates,
     seconds,
     seconds_or_none,
-    share,
     with_driving,
 )
 
@@ -115,10 +115,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--counterfactuals",
-        type=share,
+        type=rates,
         metavar="RATE",
-        help="share of alerts and suggestions to be judged by branches of the run, above 0 up to 1 "
-        "(default: none)",
+        help="share of alerts and suggestions to be judged by branches of the run, above 0 up to "
+        "1; two of them as ALERTS,SUGGESTIONS (default: none)",
     )
     add_traffic(parser)
     add_driving(parser)

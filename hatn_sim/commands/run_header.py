@@ -73,7 +73,7 @@ def _counterfactual_settings(arguments: argparse.Namespace) -> dict[str, Any] | 
         return None
     from hatn_sim.score.counterfactual import CounterfactualSettings
 
-    return {"rate": arguments.counterfactuals, **asdict(CounterfactualSettings())}
+    return {"rates": asdict(arguments.counterfactuals), **asdict(CounterfactualSettings())}
 
 
 def trained_on(predictor: Predictor) -> list[str]:
@@ -132,7 +132,8 @@ def _command(arguments: argparse.Namespace, scenario: Scenario) -> str:
     if arguments.assist_settings is not None:
         words += ["--assist-settings", str(arguments.assist_settings)]
     if arguments.counterfactuals is not None:
-        words += ["--counterfactuals", f"{arguments.counterfactuals:g}"]
+        judged = arguments.counterfactuals
+        words += ["--counterfactuals", f"{judged.alerts:g},{judged.suggestions:g}"]
     if arguments.net is not None:
         words += ["--net", str(arguments.net)]
     if arguments.react_from is not None:

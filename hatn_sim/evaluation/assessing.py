@@ -37,7 +37,7 @@ from hatn_sim.score.driven import DrivenRecorder
 from hatn_sim.score.events import severe_events, vehicle_hours
 from hatn_sim.score.offences import warnable_s
 from hatn_sim.score.sign_traces import SignRecorder
-from hatn_sim.score.what_if import Line, WhatIf
+from hatn_sim.score.what_if import Line, Rates, WhatIf
 from hatn_sim.traffic import open_traffic
 
 RUN_IN_S: Final = 3.0
@@ -60,7 +60,7 @@ class AssessPlan:
     weights: Path | None
     rules: tuple[str, ...]  # of `assist.baselines.RULES`
     settings: AssistSettings
-    counterfactuals: float  # rate at which advice is judged by branches; 0: none is
+    counterfactuals: Rates | None  # at which advice is judged by branches; None: none is
     made_with: Mapping[str, Any]  # what another run in its place is held against
     keeps_signs: bool = False  # of danger, to calibrate by; nobody is advised then
 

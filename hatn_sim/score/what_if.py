@@ -69,6 +69,14 @@ class _Asked:
     judge: Callable[[Branch, list[Branch]], Line]
 
 
+@dataclass(frozen=True)
+class Rates:
+    """Which share of advice is judged: alerts are rare, and worth more of it than suggestions."""
+
+    alerts: float
+    suggestions: float
+
+
 class WhatIf:
     """Judges a sample of the alerts and suggestions of a run.
 
@@ -78,15 +86,18 @@ class WhatIf:
     """
 
     def __init__(
-        self, simulator: Simulator, rate: float, seed: int, settings: CounterfactualSettings
+        self, simulator: Simulator, rates: Rates, seed: int, settings: CounterfactualSettings
     ) -> None:
-        """Raises InputError where the rate is no share, or the simulator cannot branch."""
-        if not 0.0 < rate <= 1.0:
-            raise InputError(f"counterfactuals: expected a rate above 0 up to 1, found {rate:g}")
+        """Raises InputError where a rate is no share, or the simulator cannot branch."""
+        for rate in (rates.alerts, rates.suggestions):
+            if not 0.0 < rate <= 1.0:
+                raise InputError(
+                    f"counterfactuals: expected a rate above 0 up to 1, found {rate:g}"
+                )
         if simulator.cannot_branch is not None:
             raise InputError(f"{simulator.name}: no branches: {simulator.cannot_branch}")
         self._simulator = simulator
-        self._rate, self._seed, self._settings = rate, seed, settings
+        self._rates, self._seed, self._settings = rates, seed, settings
         self._advised = SuggestionState()
         self._told: dict[str, tuple[str, str | None]] = {}
         self._asked: deque[_Asked] = deque()
@@ -174,8 +185,10 @@ class WhatIf:
         return judge
 
     def _samples(self, index: int, what: Alert | Suggestion) -> bool:
-        other = what.other_id if isinstance(what, Alert) else what.slot_id
-        return is_sampled(self._rate, self._seed, type(what).__name__, index, what.ego_id, other)
+        is_alert = isinstance(what, Alert)
+        other = what.other_id if is_alert else what.slot_id
+        rate = self._rates.alerts if is_alert else self._rates.suggestions
+        return is_sampled(rate, self._seed, type(what).__name__, index, what.ego_id, other)
 
     def _changed(self, suggestions: Sequence[Suggestion]) -> list[Suggestion]:
         """Those that say something else than the last time; whom to let go first may change."""
