@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from hatn_sim.assist.alert import LOOK_S, AlertState, Met, alert, without_met
+from hatn_sim.assist.alert import LOOK_S, AlertState, Met, alert, with_touched
 from hatn_sim.assist.baselines import RULES
 from hatn_sim.assist.danger import SIGNS_OF
 from hatn_sim.assist.evade import warn
@@ -171,7 +171,7 @@ class _Looking:
         sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
         self._advice.add(index, scene.time_s, Advice(prediction, suggestions, ()), sampled)
         for name, recorder in self._dangers.items():
-            self._met[name], found = without_met(self._met[name], scene, RULES[name](moment))
+            self._met[name], found = with_touched(self._met[name], scene, RULES[name](moment))
             recorder.add(scene.time_s, scene.ids, found)
         if self._what_if is not None:
             found = RULES["hatn"](moment)
