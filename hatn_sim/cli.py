@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import ModuleType
 from typing import Any, Final, NoReturn
 
 import hatn_sim
@@ -26,6 +27,7 @@ VERBS: Final = {
     "evaluate": "score predictors on many runs side by side, and print the tables of the paper",
     "net": "build a SUMO net from a Lanelet2 map or another map, in the map's own frame",
     "train": "train HATN on simulated or recorded traffic and write its weights",
+    "train-policy": "train a policy that drives, PPO or DQN, and write its weights",
     "scenarios": "list the scenes that ship, with their measured figures",
     "doctor": "say what is installed, what is missing and how to get it",
     "bench": "time every stage of a tick side by side, and the memory it takes",
@@ -62,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if parsed.verb is None:
             parser.print_help()
             return 0
-        code: int = import_module(f"hatn_sim.commands.{parsed.verb}").main(parsed)
+        code: int = _command(parsed.verb).main(parsed)
         sys.stdout.flush()
         return code
     except HatnSimError as error:
@@ -75,6 +77,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Nobody reads on (`| head`); what Python would still flush at its end goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+def _command(verb: str) -> ModuleType:
+    return import_module(f"hatn_sim.commands.{verb.replace('-', '_')}")
 
 
 def _make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
@@ -90,7 +96,7 @@ def _make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
     if asked is not None and asked not in VERBS:
         parser.error(f"unknown verb {asked!r}{nearest(asked, VERBS)}")
     for verb, purpose in VERBS.items():
-        module = import_module(f"hatn_sim.commands.{verb}")
+        module = _command(verb)
         child = verbs.add_parser(
             verb,
             help=purpose,
