@@ -102,10 +102,15 @@ def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState
 def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserState, Advice]:
     """Take in a frame and give advice: prediction, suggestions, alerts."""
     state = observe(adviser, state, frame)
-    with _named(f"predictor {adviser.predictor.name!r}", adviser.predictor, frame.scene):
+    return advise(adviser, state, frame.scene, foresee(adviser, state, frame.scene))
+
+
+def foresee(adviser: Adviser, state: AdviserState, scene: Scene) -> Prediction:
+    """The prediction from what was observed, the newest of it a scene; checked."""
+    with _named(f"predictor {adviser.predictor.name!r}", adviser.predictor, scene):
         prediction = adviser.predictor.predict(state.memory)
-    check_prediction(adviser.predictor.name, prediction, frame.scene)
-    return advise(adviser, state, frame.scene, prediction)
+    check_prediction(adviser.predictor.name, prediction, scene)
+    return prediction
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.datatypes import DT_S, HISTORY_FRAMES, Frame, Kind, Simulator
+from hatn_sim.envs.driving import warmed_up
 from hatn_sim.envs.errors import EgoError, OptionError
 from hatn_sim.errors import nearest
 from hatn_sim.simulators.sumo import SumoSimulator
@@ -37,13 +38,8 @@ def begin_episode(
     """
     if isinstance(simulator, SumoReplay):
         ego_id = _cast(simulator, seed, ego_id, random)
-    frame = simulator.reset(seed)
-    last = deque([frame], HISTORY_FRAMES)
-    for _ in range(warm_up_frames):
-        if frame.done:
-            break
-        frame = simulator.step()
-        last.append(frame)
+    last = deque(warmed_up(simulator, simulator.reset(seed), warm_up_frames), HISTORY_FRAMES)
+    frame = last[-1]
     if ego == "spawned":
         ego_id = SPAWNED
         _spawn(simulator, frame, last, random)

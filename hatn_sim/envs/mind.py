@@ -4,20 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
-from hatn_sim.datatypes import Advice, FloatArray, Frame, Predictor, Scene
+from hatn_sim.datatypes import Advice, FloatArray, Frame, Prediction, Predictor, Scene
 from hatn_sim.envs.observation import Sight
 from hatn_sim.graph import build_graphs
-from hatn_sim.loop import Adviser, AdviserState, LineSource, begin, observe, tick
+from hatn_sim.loop import (
+    Adviser,
+    AdviserState,
+    LineSource,
+    advise,
+    begin,
+    check_prediction,
+    foresee,
+    observe,
+)
 from hatn_sim.road import Road
 
 NEAREST_FIRST: Final = 0.01
 """Stands in for probabilities where a predictor gives none: whoever is sooner there goes first."""
+
+
+@runtime_checkable
+class BatchPredictor(Protocol):
+    """A predictor that is faster for several memories at once than for one after another."""
+
+    def predict_all(self, states: Sequence[Any]) -> list[Prediction]:
+        """What `predict` says of each, but for rounding."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +56,10 @@ class Thought:
     sight: Sight
 
 
+Asked = tuple[Mind, Scene]
+"""A mind that wants a prediction, and the scene that it has taken in last."""
+
+
 def open_mind(predictor: Predictor, lines: LineSource, ego_id: str, road: Road) -> Mind:
     """Nothing seen yet; advice is for the ego alone."""
     adviser = Adviser(predictor, lines, frozenset({ego_id}))
@@ -50,14 +72,36 @@ def glance(mind: Mind, frame: Frame) -> Mind:
 
 
 def think(mind: Mind, frame: Frame) -> tuple[Mind, Thought]:
-    """Take in a frame and be advised. Graphs are built here where the predictor has none."""
-    state, advice = tick(mind.adviser, mind.state, frame)
-    prediction, seen = advice.prediction, state.perception.seen
+    """Take in a frame and be advised: the one `tick()`, in the parts that it has."""
+    mind = glance(mind, frame)
+    return conclude(mind, frame.scene, foresee(mind.adviser, mind.state, frame.scene))
+
+
+def foresee_all(asked: Sequence[Asked]) -> list[Prediction]:
+    """Predictions of one predictor for several minds that have taken in a scene each.
+
+    In one batch where the predictor makes one; else as each alone.
+    """
+    if not asked:
+        return []
+    predictor = asked[0][0].adviser.predictor
+    if not isinstance(predictor, BatchPredictor):
+        return [foresee(mind.adviser, mind.state, scene) for mind, scene in asked]
+    predictions = predictor.predict_all([mind.state.memory for mind, _ in asked])
+    for (_, scene), prediction in zip(asked, predictions, strict=True):
+        check_prediction(predictor.name, prediction, scene)
+    return predictions
+
+
+def conclude(mind: Mind, scene: Scene, prediction: Prediction) -> tuple[Mind, Thought]:
+    """What to make of a prediction. Graphs are built here where the predictor has none."""
+    state, advice = advise(mind.adviser, mind.state, scene, prediction)
+    seen = state.perception.seen
     graphs, lines = prediction.graphs, prediction.lines
     if graphs is None or lines is None:
         graphs, lines = build_graphs(mind.road, seen), seen.lines
         prediction = replace(prediction, graphs=graphs, lines=lines, slot_probability=None)
-    stopped = stopped_at_line(mind.stopped, frame.scene, graphs)
+    stopped = stopped_at_line(mind.stopped, scene, graphs)
     after = replace(mind, state=state, stopped=stopped)
     return after, Thought(advice, Sight(prediction, graphs, lines))
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, cast
+from collections.abc import Generator, Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from hatn_sim.datatypes import DT_S, BoolArray, Command, Frame, Predictor
+from hatn_sim.datatypes import DT_S, BoolArray, Prediction, Predictor
 from hatn_sim.envs.action import (
     Slots,
     acceleration_command,
@@ -20,10 +19,12 @@ from hatn_sim.envs.action import (
     numbers_of,
     tracking_command,
 )
+from hatn_sim.envs.driving import Plan, driven
 from hatn_sim.envs.ego import begin_episode
+from hatn_sim.envs.episode import TERMINAL, Episode
 from hatn_sim.envs.errors import EpisodeOverError, NeedsResetError, OptionError, RenderError
 from hatn_sim.envs.features import observation_space, observation_table
-from hatn_sim.envs.mind import Mind, Thought, glance, open_mind, slot_profile, think
+from hatn_sim.envs.mind import Asked, conclude, foresee_all, glance, open_mind, slot_profile
 from hatn_sim.envs.observation import (
     Ego,
     Observation,
@@ -32,10 +33,9 @@ from hatn_sim.envs.observation import (
     observe_vehicles,
 )
 from hatn_sim.envs.options import read_options
-from hatn_sim.envs.reward import Terms, has_collided, terms_of
+from hatn_sim.envs.reward import Terms
 from hatn_sim.envs.seen import Seen
 from hatn_sim.envs.traffic import ego_of, scenario_of, warm_up_s
-from hatn_sim.envs.way import Way, way_along
 from hatn_sim.errors import InputError
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
 from hatn_sim.predictors.find import load_predictor
@@ -45,35 +45,11 @@ from hatn_sim.traffic import open_traffic
 if TYPE_CHECKING:
     from hatn_sim.envs.view import View
 
-ARRIVED: Final = "arrived"
-COLLISION: Final = "collision"
-TERMINAL: Final = (ARRIVED, COLLISION)
-"""The other ends, "time", "gone" and "over", cut an episode short."""
-
-
-@dataclass(eq=False)
-class _Episode:
-    """What changes from frame to frame."""
-
-    ego_id: str
-    seed: int
-    frame: Frame
-    way: Way | None  # None: the simulator does not know it
-    mind: Mind | None  # None: nothing is predicted
-    thought: Thought | None = None
-    acceleration_mps2: float = 0.0  # of the ego, in the last frame
-    frames: int = 0
-    end: str = ""
-
-    @property
-    def is_over(self) -> bool:
-        return bool(self.end)
-
-    @property
-    def row(self) -> int | None:
-        """Of the ego in the scene; None: it is gone."""
-        ids = self.frame.scene.ids
-        return ids.index(self.ego_id) if self.ego_id in ids else None
+Result = TypeVar("Result")
+Step = tuple[Observation, float, bool, bool, dict[str, Any]]
+Turn = Generator[Asked | None, Prediction | None, Result]
+"""A part of an episode, up to its result: it gives way once where the simulator has been told what
+to do and others can be told meanwhile, and then for each prediction that it asks for."""
 
 
 class SceneEnv(gymnasium.Env[Observation, Any]):
@@ -123,7 +99,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         self.observation_space = space
         self._predictor = _predictor(self.options.predictor)
         self._simulator = open_traffic(self.scenario)
-        self._episode: _Episode | None = None
+        self._episode: Episode | None = None
         self._view: View | None = None
 
     # -- gymnasium ------------------------------------------------------------------------------
@@ -141,10 +117,15 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
                 f"reset: expected no options, found {sorted(options)}; give them when making the "
                 "environment"
             )
+        return self._alone(self.opening(seed))
+
+    def opening(self, seed: int | None = None) -> Turn[tuple[Observation, dict[str, Any]]]:
+        """What `reset` does, as a `Turn`."""
         super().reset(seed=seed)
         self._episode = None
         drawn = int(self.np_random.integers(MAX_SEED + 1))
         number = drawn if seed is None else seed % (MAX_SEED + 1)
+        yield None
         ego_id, frames = begin_episode(
             self._simulator,
             number,
@@ -161,20 +142,24 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             mind = open_mind(self._predictor, lines, ego_id, road)
             for frame in frames[:-1]:
                 mind = glance(mind, frame)
-        episode = _Episode(ego_id, number, frames[-1], None, mind)
-        episode.way = self._way(episode)
-        self._think(episode)
+        episode = Episode(ego_id, number, road, frames[-1], mind)
+        episode.begin()
+        yield from self._think(episode)
         self._episode = episode
         observation = self._observation(episode)
         if self.render_mode == "human":
             self._show(episode)
         return observation, self._info(episode, Terms())
 
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> Step:
         """Drives on for `frames_per_step` frames, or until the episode ends.
 
         Raises NeedsResetError, EpisodeOverError, ActionError; else as the simulator's `step`.
         """
+        return self._alone(self.turn(action))
+
+    def turn(self, action: Any) -> Turn[Step]:
+        """What `step` does, as a `Turn`; one that is not finished ends the episode."""
         episode = self._running()
         if episode.is_over:
             raise EpisodeOverError(
@@ -182,15 +167,19 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             )
         plan = self._plan(episode, action)
         terms = Terms()
-        frames = self.options.frames_per_step
         try:
-            for k in range(frames):
-                terms += self._advance(episode, plan(k))
+            count = self.options.frames_per_step
+            come = driven(self._simulator, episode.ego_id, episode.frame, plan, count)
+            yield None
+            for frame in come():
+                if terms.time_s and episode.mind is not None:
+                    episode.mind = glance(episode.mind, episode.frame)
+                terms += episode.advance(frame, self.options)
                 if episode.is_over:
                     break
-                if k < frames - 1 and episode.mind is not None:
-                    episode.mind = glance(episode.mind, episode.frame)
-            self._think(episode)
+                if episode.frames % RELEASE_FRAMES == 0:
+                    self._simulator.road.release(RELEASE_FRAMES, KEPT_LINES)
+            yield from self._think(episode)
         except BaseException:
             self._episode = None  # nobody knows how far it got
             raise
@@ -201,6 +190,18 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             self._show(episode)
         cut = episode.is_over and not is_terminal
         return observation, reward, is_terminal, cut, self._info(episode, terms)
+
+    @staticmethod
+    def _alone(turn: Turn[Result]) -> Result:
+        """The result of a turn with nobody beside it."""
+        prediction = None
+        try:
+            while True:
+                asked = turn.send(prediction)
+                prediction = None if asked is None else foresee_all([asked])[0]
+        except StopIteration as done:
+            result: Result = done.value
+            return result
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The moment as a picture [height, width, 3] in the mode `rgb_array`.
@@ -229,98 +230,47 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             raise OptionError("action_masks: expected the environment's action to be 'slot'")
         return self.action_space.admissible.copy()
 
-    # -- one frame --------------------------------------------------------------------------------
+    # -- what is done -----------------------------------------------------------------------------
 
-    def _plan(self, episode: _Episode, action: Any) -> Any:
-        """The number of a frame in this step -> the ego's command then, None: not commanded."""
+    def _plan(self, episode: Episode, action: Any) -> Plan:
         ego_id, space = episode.ego_id, self.action_space
         if isinstance(space, Slots):
             slot = chosen_slot(action, space.admissible, self.options.masked_action)
             speeds = self._profile(episode, slot)
-            return lambda k: self._track(episode, speeds, k)
+            if not speeds:  # on no line nobody knows the way: the simulator's driver does
+                return lambda _k, _speed_mps: None
+            return lambda k, speed_mps: tracking_command(ego_id, speed_mps, speeds, k)
         assert isinstance(space, Box)
         numbers = numbers_of(action, space)
         is_highway = self.options.action_form == "highway"
         command = (highway_command if is_highway else acceleration_command)(ego_id, numbers)
-        return lambda k: command
+        return lambda _k, _speed_mps: command
 
-    def _profile(self, episode: _Episode, slot: int) -> Sequence[float]:
+    @staticmethod
+    def _profile(episode: Episode, slot: int) -> Sequence[float]:
         assert episode.mind is not None and episode.thought is not None and episode.row is not None
         scene = episode.frame.scene
         return slot_profile(episode.mind, episode.thought.sight, scene, episode.row, slot)
 
-    @staticmethod
-    def _track(episode: _Episode, speeds: Sequence[float], k: int) -> Command | None:
-        # On no line nobody knows the way: the simulator's driver does.
-        if not speeds or episode.row is None:
-            return None
-        speed_mps = float(episode.frame.scene.speed_mps[episode.row])
-        return tracking_command(episode.ego_id, speed_mps, speeds, k)
-
-    def _advance(self, episode: _Episode, command: Command | None) -> Terms:
-        before, row = episode.frame, episode.row
-        assert row is not None
-        frame = self._simulator.step(() if command is None else (command,))
-        episode.frame, episode.frames = frame, episode.frames + 1
-        progress_m = self._move(episode, before, row)
-        episode.end = self._end_of(episode)
-        if not episode.end and episode.frames % RELEASE_FRAMES == 0:
-            self._simulator.road.release(RELEASE_FRAMES, KEPT_LINES)
-        arrived = episode.end == ARRIVED
-        return terms_of(before, frame, episode.ego_id, progress_m, arrived)
-
-    def _move(self, episode: _Episode, before: Frame, row: int) -> float:
-        """Carries the ego's way on; how far it came, in metres."""
-        now = episode.row
-        if now is None:
-            return 0.0
-        old, new = before.scene, episode.frame.scene
-        episode.acceleration_mps2 = float(new.speed_mps[now] - old.speed_mps[row]) / DT_S
-        way = episode.way
-        if way is not None and way.route == episode.frame.truth.routes[now]:
-            episode.way = way.moved(new.xy_m[now])
-            return episode.way.s_m - way.s_m
-        episode.way = self._way(episode)
-        return float(np.linalg.norm(new.xy_m[now] - old.xy_m[row]))
-
-    def _way(self, episode: _Episode) -> Way | None:
-        row = episode.row
-        assert row is not None
-        route = episode.frame.truth.routes[row]
-        if not route:
-            return None
-        return way_along(self._simulator.road, route, episode.frame.scene.xy_m[row])
-
-    def _end_of(self, episode: _Episode) -> str:
-        frame, row, way = episode.frame, episode.row, episode.way
-        if has_collided(frame, episode.ego_id):
-            return COLLISION
-        if episode.ego_id in frame.truth.arrived:
-            return ARRIVED
-        if row is None:
-            return "gone"
-        length_m = float(frame.scene.size_m[row, 0])
-        if self.options.until == "crossed" and way is not None and way.is_crossed(length_m):
-            return ARRIVED
-        if frame.done:
-            return "over"
-        return "time" if episode.frames * DT_S >= self.options.duration_s - 1e-6 else ""
-
     # -- what is shown of it ----------------------------------------------------------------------
 
-    def _think(self, episode: _Episode) -> None:
+    def _think(self, episode: Episode) -> Turn[None]:
         """Decides at the newest frame; the mask of actions is that of it."""
         episode.thought = None
         row = episode.row
         if episode.mind is not None and row is not None:
-            episode.mind, episode.thought = think(episode.mind, episode.frame)
+            scene = episode.frame.scene
+            mind = glance(episode.mind, episode.frame)
+            prediction = yield mind, scene
+            assert prediction is not None
+            episode.mind, episode.thought = conclude(mind, scene, prediction)
         if isinstance(self.action_space, Slots):
             mask = np.arange(self.action_space.n) == 0
             if episode.thought is not None and row is not None:
                 mask = admissible_slots(episode.thought.sight, row)
             self.action_space.admissible = mask
 
-    def _observation(self, episode: _Episode) -> Observation:
+    def _observation(self, episode: Episode) -> Observation:
         space = cast(gymnasium.spaces.Dict, self.observation_space)
         row, thought = episode.row, episode.thought
         whole: Observation = {
@@ -339,7 +289,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             whole["action_mask"] = self.action_space.admissible.astype(np.float32)
         return whole
 
-    def _info(self, episode: _Episode, terms: Terms) -> dict[str, Any]:
+    def _info(self, episode: Episode, terms: Terms) -> dict[str, Any]:
         scene, thought = episode.frame.scene, episode.thought
         info: dict[str, Any] = {
             "seen": Seen(episode.ego_id, scene, None if thought is None else thought.advice),
@@ -353,12 +303,12 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             info["action_mask"] = self.action_space.admissible.astype(np.int8)
         return info
 
-    def _running(self, what: Literal["step", "render"] = "step") -> _Episode:
+    def _running(self, what: Literal["step", "render"] = "step") -> Episode:
         if self._episode is None:
             raise NeedsResetError(f"{what}: there is no episode; expected a call of reset before")
         return self._episode
 
-    def _picture(self, episode: _Episode) -> np.ndarray:
+    def _picture(self, episode: Episode) -> np.ndarray:
         from hatn_sim.envs.view import View
 
         if self._view is None:
@@ -369,7 +319,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             seen, thought.sight if thought else None, mind.road if mind else None
         )
 
-    def _show(self, episode: _Episode) -> None:
+    def _show(self, episode: Episode) -> None:
         picture = self._picture(episode)
         assert self._view is not None
         self._view.show(picture, self.metadata["render_fps"])

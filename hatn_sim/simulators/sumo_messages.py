@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hatn_sim.datatypes import BoolArray, Change, Command, FloatArray, IntArray, Route
@@ -38,6 +38,27 @@ class RawFrame:
     teleported: tuple[str, ...]
     done: bool
     sumo_s: float = 0.0  # wall clock of SUMO's own step, reading excepted
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The first message to a worker: as if its program had been started now, and here."""
+
+    folder: str
+    variables: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Advance:
+    """Asks for one step for each of these lists of commands, until nobody is left to drive."""
+
+    commands: tuple[Sequence[tuple[str, float]], ...]  # vehicle, acceleration in m/s2
+    kept: int  # frames to tell of, the last; of the others nobody needs to know
+
+
+@dataclass(frozen=True, eq=False)
+class Advanced:
+    frames: tuple[RawFrame, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from hatn_sim.errors import InputError
 from hatn_sim.safe_xml import check_xml
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import Refused, Started
-from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError
+from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, Workers
 
 
 def read_net(path: Path) -> list[Lane]:
@@ -20,8 +20,10 @@ def read_net(path: Path) -> list[Lane]:
     before.
     """
     check_xml(path, "net")
-    worker = SumoWorker()
+    workers = Workers()
+    worker = None
     try:
+        worker = SumoWorker(workers)
         answer = worker.ask(("--net-file", str(path), "--no-step-log", "true"))
         if isinstance(answer, Refused):
             reason = worker.complaint() or " ".join(answer.reason.split())
@@ -29,6 +31,8 @@ def read_net(path: Path) -> list[Lane]:
     except WorkerDiedError as error:
         raise InputError(f"{path}: SUMO cannot read this net: {error}") from None
     finally:
-        worker.close()
+        if worker is not None:
+            worker.close()
+        workers.close()
     assert isinstance(answer, Started)
     return lanes_of(answer.lane_table)

@@ -1,20 +1,31 @@
-"""Starts, asks and ends the process in which SUMO lives (`sumo_worker.py`)."""
+"""Starts, asks and ends the processes in which SUMO lives (`sumo_worker.py`)."""
 
 from __future__ import annotations
 
 import os
 import pickle
+import signal
+import socket
 import subprocess
 import sys
 import tempfile
+import threading
+import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Final, Protocol
 
 from hatn_sim.simulators.sumo_config import first_error
+from hatn_sim.simulators.sumo_messages import Surroundings
+from hatn_sim.simulators.sumo_nursery import ANSWER, ASK, FORK, REQUEST
 
-LEAVE_TIMEOUT_S = 10.0
+WORKER: Final = "hatn_sim.simulators.sumo_worker"
+NURSERY: Final = "hatn_sim.simulators.sumo_nursery"
+LEAVE_TIMEOUT_S: Final = 10.0
 """How long a worker may take to finish the output files of a user's configuration."""
+LONGEST_NAP_S: Final = 0.02
+"""Between two looks at whether a worker has left."""
 
 
 class WorkerDiedError(Exception):
@@ -27,19 +38,23 @@ class SumoWorker:
     So it also leaves when this process dies in whatever way.
     """
 
-    def __init__(self, module: str = "hatn_sim.simulators.sumo_worker") -> None:
-        """`module` is the program that the process runs."""
+    def __init__(self, workers: Workers) -> None:
+        """Raises WorkerDiedError where no process can be started."""
         self._words = tempfile.TemporaryFile()  # noqa: SIM115 - close() closes it
-        # The worker finds the modules that this process finds, and nothing in the current folder.
-        modules = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._words,
-            # Only what has no other threads can be forked.
-            env=os.environ | {"PYTHONPATH": modules, "OPENBLAS_NUM_THREADS": "1"},
-        )
+        asked, ask = os.pipe()
+        answers, answer = os.pipe()
+        self._requests: IO[bytes] = os.fdopen(ask, "wb")
+        self._answers: IO[bytes] = os.fdopen(answers, "rb")
+        try:
+            self._process = workers.start((asked, answer, self._words.fileno()))
+        except BaseException:
+            self._close_files()
+            raise
+        finally:
+            os.close(asked)
+            os.close(answer)
+        with suppress(OSError):  # it is gone: the first question will tell
+            pickle.dump(Surroundings(str(Path.cwd()), dict(os.environ)), self._requests, protocol=5)
 
     @property
     def pid(self) -> int:
@@ -47,13 +62,23 @@ class SumoWorker:
 
     def ask(self, message: object) -> Any:
         """The worker's answer. Raises WorkerDiedError."""
-        assert self._process.stdin is not None and self._process.stdout is not None
+        self.tell(message)
+        return self.hear()
+
+    def tell(self, message: object) -> None:
+        """Asks without waiting for the answer, which `hear` gives. Raises WorkerDiedError."""
         try:
-            pickle.dump(message, self._process.stdin, protocol=5)
-            self._process.stdin.flush()
-            return pickle.load(self._process.stdout)
+            pickle.dump(message, self._requests, protocol=5)
+            self._requests.flush()
+        except OSError:
+            raise self._died() from None
+
+    def hear(self) -> Any:
+        """The answer to what was told. Raises WorkerDiedError."""
+        try:
+            return pickle.load(self._answers)
         except (EOFError, OSError, pickle.UnpicklingError):
-            raise WorkerDiedError(self.complaint() or self._last_words()) from None
+            raise self._died() from None
 
     def complaint(self) -> str | None:
         """The first error that SUMO printed, if any: to be asked when SUMO has given up."""
@@ -61,10 +86,7 @@ class SumoWorker:
 
     def close(self) -> None:
         """Lets the worker leave, or ends it if it does not. May be called again."""
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with suppress(OSError):  # what was still to be written cannot be
-                    pipe.close()
+        self._close_files()
         try:
             self._process.wait(LEAVE_TIMEOUT_S)
         except BaseException as reason:  # too slow, or ctrl-C while waiting
@@ -75,19 +97,201 @@ class SumoWorker:
         finally:
             self._words.close()
 
+    def _close_files(self) -> None:
+        for pipe in (self._requests, self._answers):
+            with suppress(OSError):  # what was still to be written cannot be
+                pipe.close()
+
+    def _died(self) -> WorkerDiedError:
+        return WorkerDiedError(self.complaint() or self._last_words())
+
     def _last_words(self) -> str:
-        code = self._process.wait()
-        lines = [line for line in self._printed().splitlines() if line.strip()]
-        ending = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
-        # A Python error's last line is the one that names it.
-        if code > 0 and lines:
-            return f"its process ended ({ending}): {lines[-1].strip()}"
-        return f"its process ended ({ending})"
+        return _ending(self._process.wait(), self._printed())
 
     def _printed(self) -> str:
         # The position is shared with the worker: read only when it has no more to say.
-        self._words.seek(0)
-        return self._words.read().decode("utf-8", "replace")
+        return _read(self._words)
+
+
+class Workers:
+    """Where workers come from: forked from a process that all of this program share.
+
+    To be closed when no more are wanted: with the last `Workers` that process leaves. Workers that
+    are there stay. Where there is no fork they are started one by one.
+    """
+
+    def __init__(self, module: str = WORKER) -> None:
+        """`module` is the program that the processes run."""
+        self._module = module
+        self._nursery: _Nursery | None = None
+
+    def start(self, files: Sequence[int]) -> _Process:
+        """A process with these as its standard input, output and error.
+
+        Raises WorkerDiedError where there can be none.
+        """
+        if not hasattr(os, "fork"):
+            return _spawned((self._module,), files)
+        if self._nursery is None or not self._nursery.is_of_use:
+            self.close()
+            self._nursery = _Nursery.shared(self._module)
+        return self._nursery.fork(files)
+
+    def close(self) -> None:
+        """May be called again; `start` opens it anew."""
+        nursery, self._nursery = self._nursery, None
+        if nursery is not None:
+            nursery.leave()
+
+
+class _Process(Protocol):
+    """A worker's process; as `subprocess.Popen`."""
+
+    @property
+    def pid(self) -> int: ...
+
+    def wait(self, timeout: float | None = None) -> int: ...
+
+    def kill(self) -> None: ...
+
+
+class _Nursery:
+    """The process that workers of a module are forked from, for this process only."""
+
+    _known: Final[dict[str, _Nursery]] = {}
+    _lock: Final = threading.Lock()
+
+    @classmethod
+    def shared(cls, module: str) -> _Nursery:
+        """The one of the module, begun where there is none."""
+        with cls._lock:
+            found = cls._known.get(module)
+            if found is None or not found.is_of_use:
+                found = cls._known[module] = cls(module)
+            found._users += 1
+            return found
+
+    def __init__(self, module: str) -> None:
+        self._module, self._users, self._owner = module, 0, os.getpid()
+        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - leave() closes it
+        self._control, theirs = socket.socketpair()
+        self._talking = threading.Lock()
+        with theirs:
+            files = theirs.fileno(), subprocess.DEVNULL, self._words.fileno()
+            self._process = _spawned((NURSERY, module), files)
+
+    @property
+    def is_of_use(self) -> bool:
+        """It runs, and is of this process: what is forked off this one has its own."""
+        return self._is_own and self._process.poll() is None
+
+    @property
+    def _is_own(self) -> bool:
+        return os.getpid() == self._owner
+
+    def fork(self, files: Sequence[int]) -> _Forked:
+        there, pid = self._asked(FORK, 0, files)
+        if not there:
+            raise WorkerDiedError("its process could not be started: there is no room for one more")
+        return _Forked(self, pid)
+
+    def exit_code(self, pid: int) -> int | None:
+        """Of a worker; None: it runs. To be asked for until it has ended, then no more.
+
+        Raises WorkerDiedError where nobody knows any more.
+        """
+        ended, code = self._asked(ASK, pid)
+        return code if ended else None
+
+    def leave(self) -> None:
+        """One user less; the process leaves with the last."""
+        with self._lock:
+            self._users -= 1
+            if self._users > 0:
+                return
+            if self._known.get(self._module) is self:
+                del self._known[self._module]
+        if self._is_own:
+            # Whoever was forked off this process may hold the socket, too.
+            with suppress(OSError):
+                self._control.shutdown(socket.SHUT_RDWR)
+            self._process.wait()
+        self._control.close()
+        self._words.close()
+
+    def _asked(self, kind: bytes, number: int, files: Sequence[int] = ()) -> tuple[bool, int]:
+        if not self._is_own:
+            raise WorkerDiedError("it belongs to another process")
+        try:
+            with self._talking:
+                socket.send_fds(self._control, [REQUEST.pack(kind, number)], files)
+                answer = self._control.recv(ANSWER.size, socket.MSG_WAITALL)
+        except OSError:
+            answer = b""
+        if len(answer) < ANSWER.size:
+            with suppress(subprocess.TimeoutExpired):
+                raise WorkerDiedError(_ending(self._process.wait(1.0), _read(self._words)))
+            raise WorkerDiedError("its process could not be started")
+        return ANSWER.unpack(answer)
+
+
+class _Forked:
+    """A worker forked from a nursery."""
+
+    def __init__(self, nursery: _Nursery, pid: int) -> None:
+        self.pid = pid
+        self._nursery = nursery
+        self._code: int | None = None
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Its exit code; 0 where nobody knows. Raises subprocess.TimeoutExpired."""
+        until_s = time.monotonic() + (float("inf") if timeout is None else timeout)
+        nap_s = 0.0005
+        while self._code is None:
+            try:
+                self._code = self._nursery.exit_code(self.pid)
+            except WorkerDiedError:
+                self._code = 0  # it leaves by itself, as its pipe is closed
+            if self._code is None:
+                if time.monotonic() > until_s:
+                    raise subprocess.TimeoutExpired(WORKER, timeout or 0.0)
+                time.sleep(nap_s)
+                nap_s = min(2.0 * nap_s, LONGEST_NAP_S)
+        return self._code
+
+    def kill(self) -> None:
+        if self._code is None:  # what has ended keeps its id until it was asked for
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+
+
+def _spawned(words: Sequence[str], files: Sequence[int]) -> subprocess.Popen[bytes]:
+    """A Python program of this package in a process of its own."""
+    # It finds the modules that this process finds, and nothing in the current folder.
+    modules = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
+    standard_input, output, errors = files
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", *words],
+        stdin=standard_input,
+        stdout=output,
+        stderr=errors,
+        # Only what has no other threads can be forked.
+        env=os.environ | {"PYTHONPATH": modules, "OPENBLAS_NUM_THREADS": "1"},
+    )
+
+
+def _ending(code: int, printed: str) -> str:
+    lines = [line for line in printed.splitlines() if line.strip()]
+    ending = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
+    # A Python error's last line is the one that names it.
+    if code > 0 and lines:
+        return f"its process ended ({ending}): {lines[-1].strip()}"
+    return f"its process ended ({ending})"
+
+
+def _read(words: IO[bytes]) -> str:
+    words.seek(0)
+    return words.read().decode("utf-8", "replace")
 
 
 def one_line(text: str) -> str:

@@ -1,9 +1,11 @@
 """The process in which SUMO lives: `python -m hatn_sim.simulators.sumo_worker`.
 
 It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_process.py` in pickles
-over its standard input and output. The first message it reads are SUMO's options; it answers with
-`Started`, or with `Refused` where SUMO does not take them. Every further message is a list of
-commands for one step, (vehicle, acceleration in m/s²); it answers with a `RawFrame`, or `Failed`.
+over its standard input and output. The first messages it reads are `Surroundings` and SUMO's
+options; it answers with `Started`, or with `Refused` where SUMO does not take them. Every further
+message is a list of commands for one step, (vehicle, acceleration in m/s²), answered with a
+`RawFrame`, or `Failed`; `Advance` asks for several steps at once, for the pipe takes longer than
+many a step.
 `AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes; nor does it
 for `Spawn`, `AwaitBranch` and `StartBranches`, which forks children that drive on by themselves.
 It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
@@ -34,6 +36,8 @@ from hatn_sim.simulators.sumo_lanes import (
     kinds_of,
 )
 from hatn_sim.simulators.sumo_messages import (
+    Advance,
+    Advanced,
     AskFoes,
     AskLaneFoes,
     AwaitBranch,
@@ -48,6 +52,7 @@ from hatn_sim.simulators.sumo_messages import (
     Spawned,
     StartBranches,
     Started,
+    Surroundings,
 )
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
 from hatn_sim.simulators.sumo_rows import (
@@ -158,7 +163,7 @@ class Simulation:
 
     def answer(
         self, message: object
-    ) -> RawFrame | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned:
+    ) -> RawFrame | Advanced | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned:
         """What is asked without time passing; else the frame after a step of commands."""
         self._branches.reap()
         match message:
@@ -168,6 +173,8 @@ class Simulation:
                 return self._branches.outcome(number)
             case Spawn(name, like):
                 return self.spawn(name, like)
+            case Advance(commands, kept):
+                return self.advance(commands, kept)
             case AskFoes(reach_m):
                 return self.junction_foes(reach_m)
             case AskLaneFoes():
@@ -176,22 +183,58 @@ class Simulation:
                 self.step(message)  # type: ignore[arg-type]  # a list of commands
                 return self.observe()
 
-    def observe(self, names: Sequence[str] | None = None) -> RawFrame:
-        """What is on the road now: everybody, or the vehicles named."""
-        simulation = libsumo.simulation
-        arrived = tuple(simulation.getArrivedIDList())
+    def advance(self, commands: Sequence[Sequence[tuple[str, float]]], kept: int) -> Advanced:
+        """A step for each list of commands, while there is somebody to drive."""
+        frames: list[RawFrame] = []
+        for left, wanted in zip(range(len(commands), 0, -1), commands, strict=True):
+            self.step(wanted)
+            is_last = self._done
+            if is_last or left <= kept:
+                frames.append(self.observe())
+            else:
+                self._glance()
+            if is_last:
+                break
+        return Advanced(tuple(frames))
+
+    def _glance(self) -> None:
+        """As `observe` for all that has an effect on frames to come, and on SUMO."""
+        vehicle, track = libsumo.vehicle, self._tracker.index
+        get_position, get_speed = vehicle.getPosition, vehicle.getSpeed
+        get_lane, get_route = vehicle.getLaneID, vehicle.getRouteID
+        speeds_mps: dict[str, float] = {}
+        self._forget()
+        for name in vehicle.getIDList():
+            if get_position(name)[0] >= INVALID_M:
+                speeds_mps[name] = get_speed(name)
+                track(name, get_lane(name), get_route(name))
+        self._speeds_mps = speeds_mps
+
+    def _forget(self) -> tuple[str, ...]:
+        """Drops those who have arrived; they are told."""
+        arrived = tuple(libsumo.simulation.getArrivedIDList())
         for vehicle in arrived:
             self._tracker.forget(vehicle)
             self._looks.pop(vehicle, None)
+        return arrived
+
+    @property
+    def _done(self) -> bool:
+        simulation = libsumo.simulation
+        return simulation.getMinExpectedNumber() == 0 or simulation.getTime() >= self._end_s
+
+    def observe(self, names: Sequence[str] | None = None) -> RawFrame:
+        """What is on the road now: everybody, or the vehicles named."""
+        simulation = libsumo.simulation
+        arrived = self._forget()
         ids, rows, routes = self._vehicles(libsumo.vehicle.getIDList() if names is None else names)
         emergency_braking = self._emergency_braking(ids, rows)
         persons = frozenset(libsumo.person.getIDList()).difference(ids)
         self._add_pedestrians(ids, rows, routes)
         new_routes = tuple(self._tracker.routes[self._routes_sent :])
         self._routes_sent += len(new_routes)
-        time_s = simulation.getTime()
         return RawFrame(
-            time_s=time_s,
+            time_s=simulation.getTime(),
             ids=tuple(ids),
             rows=_centred(np.array(rows, np.float64).reshape(len(ids), 11)),
             routes=tuple(routes),
@@ -209,7 +252,7 @@ class Simulation:
             departed=tuple(simulation.getDepartedIDList()),
             arrived=arrived,
             teleported=tuple(simulation.getStartingTeleportIDList()),
-            done=simulation.getMinExpectedNumber() == 0 or time_s >= self._end_s,
+            done=self._done,
             sumo_s=self._sumo_s,
         )
 
@@ -379,6 +422,10 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         pickle.dump(message, replies, protocol=5)
         replies.flush()
 
+    surroundings: Surroundings = pickle.load(requests)
+    os.chdir(surroundings.folder)
+    os.environ.clear()
+    os.environ.update(surroundings.variables)
     options = pickle.load(requests)
     try:
         simulation = start(options)
@@ -400,5 +447,10 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         simulation.close()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """The life of a worker."""
     serve(Simulation)
+
+
+if __name__ == "__main__":
+    main()

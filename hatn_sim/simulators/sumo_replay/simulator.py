@@ -29,7 +29,7 @@ from hatn_sim.road import Road
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import Failed, Refused, ReplayFrame, ReplayStep, Started
-from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, one_line
+from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, Workers, one_line
 from hatn_sim.simulators.sumo_replay.figures import (
     Divergence,
     DivergenceCount,
@@ -104,6 +104,7 @@ class SumoReplay:
         self.net_path = net_path
         self._take_over = dict(take_over or {})
         self._react_from_s = react_from_s
+        self._workers = Workers(WORKER)
         self._worker: SumoWorker | None = None
         self._frames: Iterator[Frame] = iter(())
         self._lanes: list[Lane] | None = None
@@ -176,7 +177,7 @@ class SumoReplay:
         """
         if not 0 <= seed <= MAX_SEED:
             raise InputError(f"seed: expected 0 to {MAX_SEED}, found {seed}")
-        self.close()
+        self._end()
         self._start_anew()
         self._frames = self.recording.frames()
         first = next(self._frames, None)
@@ -225,6 +226,12 @@ class SumoReplay:
 
     def close(self) -> None:
         """Ends SUMO and its process; the figures stay."""
+        try:
+            self._end()
+        finally:
+            self._workers.close()
+
+    def _end(self) -> None:
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.close()
@@ -279,9 +286,9 @@ class SumoReplay:
                 "no-step-log": "true",
                 "duration-log.disable": "true",
             }
-            self._worker = SumoWorker(WORKER)
             words = tuple(word for key, value in options.items() for word in (f"--{key}", value))
             try:
+                self._worker = SumoWorker(self._workers)
                 answer = self._worker.ask(words)
             except WorkerDiedError as error:  # SUMO crashes on some nets that are not whole
                 answer = Refused(str(error))
@@ -289,7 +296,8 @@ class SumoReplay:
                 self.close()
                 raise
         if isinstance(answer, Refused):
-            reason = self._worker.complaint() or f"Error: {answer.reason}"
+            said = self._worker.complaint() if self._worker else None
+            reason = said or f"Error: {answer.reason}"
             self.close()
             raise InputError(
                 f"{self.net_path}: SUMO refuses the net: {one_line(reason)} "

@@ -154,5 +154,10 @@ def _release(name: str, edges: Route) -> bool:
     return bool(ways)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """The life of a worker."""
     serve(ReplaySimulation)
+
+
+if __name__ == "__main__":
+    main()
