@@ -100,9 +100,9 @@ def make_learner(
         return PPO(
             "MlpPolicy",
             together,
-            n_steps=1024 // together.num_envs,
+            n_steps=512 // together.num_envs,
             batch_size=128,
-            n_epochs=8,
+            n_epochs=10,
             learning_rate=4e-4,
             gamma=DISCOUNT,
             gae_lambda=0.95,
