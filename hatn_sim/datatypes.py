@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -486,3 +486,13 @@ class Agent(Protocol):
     def step(
         self, state: Any, ego_id: str, scene: Scene, advice: Advice
     ) -> tuple[Any, Command | None]: ...
+
+
+@runtime_checkable
+class Guided(Protocol):
+    """What an agent has that knows where it is going: it is told before each step.
+
+    The route is its own vehicle's only, None where the simulator knows none.
+    """
+
+    def guide(self, state: Any, route: Route | None) -> Any: ...

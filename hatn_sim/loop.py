@@ -22,6 +22,7 @@ from hatn_sim.datatypes import (
     Agent,
     Command,
     Frame,
+    Guided,
     Prediction,
     Predictor,
     Scene,
@@ -160,6 +161,13 @@ def check_prediction(name: str, prediction: Prediction, scene: Scene) -> None:
         raise InputError(f"{where}: the prediction for {first!r} is not finite; mend the predictor")
 
 
+def guided(agent: Agent, state: Any, ego_id: str, frame: Frame) -> Any:
+    """The memory of an agent that has been told the way it is to drive, if it asks for that."""
+    if not isinstance(agent, Guided) or ego_id not in frame.scene.ids:
+        return state
+    return agent.guide(state, frame.truth.routes[frame.scene.ids.index(ego_id)])
+
+
 def check_command(command: Command, ego_id: str, scene: Scene) -> None:
     """InputError where an agent's command is none, not of its vehicle or not finite."""
     where = f"the agent of {ego_id!r} at {scene.time_s:.1f} s"
@@ -251,8 +259,9 @@ def run(
             if driver.from_s is not None and frame.scene.time_s < driver.from_s - ROUNDING_S:
                 continue
             with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
+                told = guided(driver.agent, driver_states[ego_id], ego_id, frame)
                 driver_states[ego_id], command = driver.agent.step(
-                    driver_states[ego_id], ego_id, frame.scene, shown
+                    told, ego_id, frame.scene, shown
                 )
             if command is not None:
                 check_command(command, ego_id, frame.scene)

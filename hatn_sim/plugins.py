@@ -31,9 +31,11 @@ def load_agent(name: str) -> Agent:
         raise InputError(
             f"unknown agent {name!r}{nearest(name, shipped)} (your own: --agent module:Class)"
         )
-    spec = importlib.util.spec_from_file_location(f"{SHIPPED_AGENTS}{name}", shipped[name])
+    module_name = f"{SHIPPED_AGENTS}{name}"
+    spec = importlib.util.spec_from_file_location(module_name, shipped[name])
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # dataclasses look their module up there
     spec.loader.exec_module(module)
     made: Agent = getattr(module, AGENT_CLASS)()
     return made

@@ -1,0 +1,1 @@
+"""What agents are made of: what a driver sees, how safe a speed is, who may be where and when."""

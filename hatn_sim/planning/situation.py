@@ -1,0 +1,168 @@
+"""What a driver sees of its own way: limits, leader, lines to stop at, and where it meets whom.
+
+Nothing here is predicted. The driver knows its own way where it was told (`guide`); that of all
+others is inferred, as predictors do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from hatn_sim.assist.pairs import at_conflicts
+from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray, IntArray, Lines, Route, Scene
+from hatn_sim.graph import Gates, next_gates
+from hatn_sim.perception import Perception, PerceptionState, begin, find_leaders, perceive
+from hatn_sim.road import LINE_STEP_M, Road
+from hatn_sim.speed_profile import allowed_speed_mps
+
+STANDING_MPS: Final = 0.3
+AT_LINE_M: Final = 3.0
+"""Who has stood this near to a stop line has done what it asks for."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriverState:
+    """The memory of a driver. Handed in and out."""
+
+    perception: PerceptionState
+    route: Route | None = None
+    has_stopped: bool = False  # at the stop line ahead
+
+
+@dataclass(frozen=True, eq=False)
+class Meetings:
+    """Where the own line meets those of others [J], nearest first; distances as in `Pairs`.
+
+    From the front bumper to the area (`room_m`) and until the rear bumper is out of it (`clear_m`).
+    """
+
+    other: IntArray  # [J] vehicles
+    merges: BoolArray  # [J]
+    room_m: FloatArray  # [J] of the ego
+    clear_m: FloatArray  # [J]
+    other_room_m: FloatArray  # [J]
+    other_clear_m: FloatArray  # [J]
+    gives_way: BoolArray  # [J] the other has a gate before the area, the ego none
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """One moment of one driver. Distances are from its front bumper, along its line."""
+
+    road: Road
+    scene: Scene
+    lines: Lines  # of all vehicles
+    ego: int  # row of the scene
+    line: int
+    s_m: float  # of the centre
+    speed_mps: float
+    half_m: float  # half the length
+    allowed_mps: FloatArray  # [P] every `PROFILE_STEP_M` from here on, by limits and bends
+    leader: int  # row, -1: nobody
+    gap_m: float  # to the leader's rear bumper; inf: nobody
+    stop_m: float  # to a stop line or a closed signal; inf: none
+    meetings: Meetings
+
+    @property
+    def leader_mps(self) -> float:
+        """The leader's speed; 0 where there is none."""
+        return float(self.scene.speed_mps[self.leader]) if self.leader >= 0 else 0.0
+
+
+def begin_driving(road: Road) -> DriverState:
+    """Nothing seen yet."""
+    return DriverState(begin(road))
+
+
+def guide(state: DriverState, route: Route | None) -> DriverState:
+    """The way that the vehicle is to drive; None: to be inferred like anybody's."""
+    return replace(state, route=route)
+
+
+def look(
+    state: DriverState, ego_id: str, scene: Scene
+) -> tuple[DriverState, Situation | None]:
+    """A frame on; None where the ego is not there, or on no line."""
+    perception = perceive(state.perception, scene, None)
+    state = replace(state, perception=perception)
+    if ego_id not in scene.ids:
+        return state, None
+    road, ego = perception.road, scene.ids.index(ego_id)
+    lines = _with_route(road, perception.seen, ego, state.route)
+    if lines.line[ego] < 0:
+        return state, None
+    road.touch(lines.line[ego : ego + 1])
+    seen = replace(perception.seen, lines=lines)
+    gates = next_gates(road, seen)
+    speed_mps = float(scene.speed_mps[ego])
+    near_line = gates.stop_m[ego] < AT_LINE_M
+    has_stopped = bool(near_line and (state.has_stopped or speed_mps < STANDING_MPS))
+    to_line_m = np.inf if has_stopped else gates.stop_m[ego]
+    leader, gap_m = _leader(road, scene, lines, ego)
+    line, s_m = lines.line[ego : ego + 1], lines.s_m[ego : ego + 1]
+    situation = Situation(
+        road=road,
+        scene=scene,
+        lines=lines,
+        ego=ego,
+        line=int(line[0]),
+        s_m=float(s_m[0]),
+        speed_mps=speed_mps,
+        half_m=0.5 * float(scene.size_m[ego, 0]),
+        allowed_mps=allowed_speed_mps(road, line, s_m)[0],
+        leader=leader,
+        gap_m=gap_m,
+        stop_m=float(min(to_line_m, gates.closed_m[ego])),
+        meetings=_meetings(road, scene, lines, gates, ego),
+    )
+    return replace(state, has_stopped=has_stopped), situation
+
+
+def _with_route(road: Road, seen: Perception, ego: int, route: Route | None) -> Lines:
+    """The lines of a moment, the ego's by its route."""
+    lines = seen.lines
+    if not route or any(name not in road.lanes for name in route):
+        return lines
+    line = np.array([road.line(route)])
+    length_m = float(road.count[line[0]]) * LINE_STEP_M
+    xy_m = seen.scene.xy_m[ego : ego + 1]
+    s_m, d_m = road.search(line, xy_m, np.zeros(1), length_m)
+    turned = seen.scene.yaw_rad[ego] - road.line_yaw_rad(line, s_m)
+    new = {"line": line, "s_m": s_m, "d_m": d_m, "phi_rad": turned, "probability": np.ones(1)}
+    columns = {name: getattr(lines, name).copy() for name in new}
+    for name, value in new.items():
+        columns[name][ego] = value[0]
+    return Lines(**columns)
+
+
+def _leader(road: Road, scene: Scene, lines: Lines, ego: int) -> tuple[int, float]:
+    """The vehicle ahead in the ego's corridor and the gap to it; -1, inf: nobody."""
+    only = np.where(np.arange(len(scene.ids)) == ego, lines.line, -1)
+    leader, at_m = find_leaders(road, scene, replace(lines, line=only))
+    if leader[ego] < 0:
+        return -1, np.inf
+    half_m = 0.5 * (scene.size_m[ego, 0] + scene.size_m[leader[ego], 0])
+    return int(leader[ego]), float(at_m[ego] - lines.s_m[ego] - half_m)
+
+
+def _meetings(road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int) -> Meetings:
+    pairs = at_conflicts(road, scene, lines)
+    row, mine = np.nonzero(pairs.index == ego)
+    room_m = pairs.room_m[row, mine]
+    order = np.argsort(room_m, kind="stable")
+    row, mine, room_m = row[order], mine[order], room_m[order]
+    its = 1 - mine
+    other, other_room_m = pairs.index[row, its], pairs.room_m[row, its]
+    gate_m = np.minimum(np.minimum(gates.stop_m, gates.give_way_m), gates.closed_m)
+    return Meetings(
+        other=other,
+        merges=pairs.type[row] == ConflictType.MERGE,
+        room_m=room_m,
+        clear_m=pairs.clear_m[row, mine],
+        other_room_m=other_room_m,
+        other_clear_m=pairs.clear_m[row, its],
+        gives_way=(gate_m[other] <= other_room_m) & (gate_m[ego] > room_m),
+    )
