@@ -260,9 +260,7 @@ def run(
                 continue
             with _named(f"the agent of {ego_id!r}", driver.agent, frame.scene):
                 told = guided(driver.agent, driver_states[ego_id], ego_id, frame)
-                driver_states[ego_id], command = driver.agent.step(
-                    told, ego_id, frame.scene, shown
-                )
+                driver_states[ego_id], command = driver.agent.step(told, ego_id, frame.scene, shown)
             if command is not None:
                 check_command(command, ego_id, frame.scene)
                 commands.append(command)

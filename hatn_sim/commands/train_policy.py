@@ -1,7 +1,8 @@
 """Train a policy that drives: PPO or DQN on the environments, until the time is up.
 
-Writes FOLDER/ALGORITHM.safetensors with a card that says how it was made, and progress.jsonl: how
-long crossing took, and how often it ended in a collision, over the last 50 episodes. To drive it,
+Writes FOLDER/ALGORITHM.safetensors with a card that says how it was made, and progress.jsonl with
+its picture: how long crossing took, and how often it ended in a collision, over the last 50
+episodes, in which the policy tried things out. To drive it,
 write a module of your own (see agents/ppo.py) and name it: hatn-sim run --agent module:Class. Needs
 stable-baselines3: pip install 'hatn-sim[rl]'.
 """
@@ -68,8 +69,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="of traffic and networks (default: 1)"
     )
+    parser.add_argument(
+        "--mark",
+        type=mark,
+        action="append",
+        default=[],
+        metavar="NAME=S",
+        help="the time of another driver, to be drawn into the picture; may be repeated",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def mark(text: str) -> tuple[str, float]:
+    """A driver's name and its seconds, as `idm=30.6`."""
+    name, is_there, number = text.partition("=")
+    if not name or not is_there:
+        raise argparse.ArgumentTypeError(f"expected NAME=SECONDS, found {text!r}")
+    return name, seconds(number)
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -89,6 +106,7 @@ def main(arguments: argparse.Namespace) -> int:
     if not rows:
         print(f"{out}: stopped before ten episodes were over; give it more --minutes or --steps")
         return 0
+    _draw(arguments, rows)
     last = rows[-1]
     print(
         f"{out}: {last.episodes:,} episodes, {last.steps:,} decisions in {last.minutes:.0f} min; "
@@ -132,11 +150,26 @@ def _train(arguments: argparse.Namespace, path: Path) -> list[Progress]:
     return rows
 
 
+def _draw(arguments: argparse.Namespace, rows: list[Progress]) -> None:
+    import numpy as np
+
+    from hatn_sim.report.policy_figure import draw_learning
+
+    draw_learning(
+        f"{arguments.algorithm.upper()} learns to cross {' and '.join(arguments.scenes)}",
+        np.array([row.steps / 1000.0 for row in rows]),
+        np.array([row.time_s for row in rows]),
+        np.array([row.collided for row in rows]),
+        dict(arguments.mark),
+        arguments.out / "progress.png",
+    )
+
+
 def _card(arguments: argparse.Namespace, rows: list[Progress]) -> dict[str, Any]:
     """How the policy was made; the command that makes it again, but for how fast a machine is."""
     words = ["hatn-sim", "train-policy"]
     for name, value in vars(arguments).items():
-        if name in ("verb", "quiet") or value is None or value is False:
+        if name in ("verb", "quiet", "mark") or value is None or value is False:
             continue
         option = f"--{name.replace('_', '-')}"
         if value is True:

@@ -82,9 +82,7 @@ def guide(state: DriverState, route: Route | None) -> DriverState:
     return replace(state, route=route)
 
 
-def look(
-    state: DriverState, ego_id: str, scene: Scene
-) -> tuple[DriverState, Situation | None]:
+def look(state: DriverState, ego_id: str, scene: Scene) -> tuple[DriverState, Situation | None]:
     """A frame on; None where the ego is not there, or on no line."""
     perception = perceive(state.perception, scene, None)
     state = replace(state, perception=perception)
