@@ -41,7 +41,7 @@ def draw_learning(
             f"{name} {seconds:.1f} s",
             (1.0, seconds),
             xycoords=("axes fraction", "data"),
-            xytext=(-2, 3),
+            xytext=(-2, -11),
             textcoords="offset points",
             ha="right",
             fontsize=8.5,
