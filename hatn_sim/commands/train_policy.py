@@ -29,7 +29,7 @@ EXAMPLES = """examples:
 """
 SCENES: Final = ("intersection5", "roundabout8")
 MINUTES: Final = 45.0
-MOST_STEPS: Final = 40_000
+MOST_STEPS: Final = 60_000
 ALGORITHMS: Final = ("ppo", "dqn")
 
 

@@ -1,7 +1,8 @@
 """How fast the ego may be: what no driver decides, so that a policy need not learn it.
 
-Limits, bends, stop lines, closed signals and the leader ahead, each as a speed not to be exceeded
-some way on. Who crosses and who merges is not among them: that is left to the policy.
+Limits, bends, stop lines, closed signals, the leader ahead, and whoever crosses or merges and can
+no longer stop, each as a speed not to be exceeded some way on. When to go, and whom to let go of
+those who could still wait, is left to the policy.
 """
 
 from __future__ import annotations
@@ -25,10 +26,17 @@ BRAKING_MPS2: Final = 2.5
 REACTION_S: Final = 0.5
 """The time of one decision."""
 HEADWAY_S: Final = 1.0
+FALLS_BACK_S: Final = 1.0
 STANDSTILL_M: Final = 2.0
 """From the leader's rear bumper."""
 BEFORE_LINE_M: Final = 0.7
 """Where front bumpers stop."""
+NEAR_SIDE_M: Final = 1.5
+"""Before a crossing's point: half the width of who crosses, and some room."""
+MOVING_MPS: Final = 0.5
+"""Slower ones can stop."""
+AHEAD_S: Final = 1.5
+"""Who is at a conflict so much sooner than the other is not in the way."""
 SAME_M: Final = 1.0
 """So near to each other, the end of the ego's own slot and the line ahead are one place."""
 STANDING_MPS: Final = 0.3
@@ -41,6 +49,12 @@ _GATE: Final = _OWN["centre to a stop line, give-way line or closed signal, 50: 
 _RED: Final = _OWN["a closed signal is before it"]
 _LIMIT: Final = _OWN[f"speed limit at {ROAD_AT_M[0]:g} m"]
 _BEND: Final = _OWN[f"curvature at {ROAD_AT_M[0]:g} m, left positive"]
+_EGO_M: Final = _SLOT["way of the ego to the conflict"]
+_OTHER_M: Final = _SLOT["way of the rear vehicle to the conflict"]
+_OTHER_MPS: Final = _SLOT["v_r, speed of the rear boundary"]
+_MERGES: Final = _SLOT["the conflict is a merge"]
+_EGO_S: Final = _SLOT["earliest time of the ego at the conflict"]
+_OTHER_S: Final = _SLOT["earliest time of the rear vehicle there"]
 _FRONT_MPS: Final = _SLOT["v_f, speed of the front boundary"]
 _SLOT_M: Final = _SLOT["l, length of the slot"]
 
@@ -84,8 +98,39 @@ def allowed_mps(observation: Observation, stood: bool) -> float:
         away_m.append(gap_m - STANDSTILL_M)
         there_mps.append(leader_mps)
         reaction_s.append(HEADWAY_S)
+    for away, there in _committed(observation):
+        away_m.append(away)
+        there_mps.append(there)
+        reaction_s.append(REACTION_S)
     ahead = _safe_mps(np.array(away_m), np.array(there_mps), np.array(reaction_s))
     return min(float(road[0]), float(ahead.min()))
+
+
+def _committed(observation: Observation) -> list[tuple[float, float]]:
+    """How far on to be how fast, for all at conflicts ahead who can no longer stop before them.
+
+    Who merges ahead of the ego is followed; for others it waits, if its nose is not there yet: at
+    the line, for who stands beyond it is in the way of whom it lets go. Who has a line ahead lets
+    everybody go, too, who is almost there.
+    """
+    there = observation["slot_mask"][1:] > 0.0
+    slots = observation["slots"][1:][there].astype(np.float64)
+    ego_m, other_m, other_mps = slots[:, _EGO_M], slots[:, _OTHER_M], slots[:, _OTHER_MPS]
+    merges = slots[:, _MERGES] > 0.0
+    half_m, line_m = 0.5 * float(observation["ego"][_LENGTH]), _line_m(observation)
+    nose_m = ego_m - half_m - np.where(merges, 0.0, NEAR_SIDE_M)
+    stops_m = other_mps**2 / (2.0 * BRAKING_MPS2) + other_mps * REACTION_S
+    bound = (other_mps > MOVING_MPS) & (stops_m > other_m - half_m)
+    almost_m = 2.0 * half_m if np.isfinite(line_m) else half_m
+    bound |= other_m < np.minimum(almost_m, ego_m)
+    follows = bound & merges & (other_m < ego_m)
+    first = slots[:, _OTHER_S] < slots[:, _EGO_S] + AHEAD_S
+    waits = bound & ~follows & first & (nose_m > 0.0)
+    wait_m = np.minimum(nose_m, line_m) - BEFORE_LINE_M
+    gap_m = np.where(follows, ego_m - other_m - 2.0 * half_m - STANDSTILL_M, wait_m)
+    speed_mps = np.where(follows, np.maximum(other_mps, 0.0), 0.0)
+    counts = follows | waits
+    return list(zip(gap_m[counts].tolist(), speed_mps[counts].tolist(), strict=True))
 
 
 def _line_m(observation: Observation) -> float:
@@ -103,7 +148,10 @@ def _is_stop_line(observation: Observation) -> bool:
 
 
 def _safe_mps(away_m: FloatArray, there_mps: FloatArray, reaction_s: FloatArray) -> FloatArray:
-    """From which speeds one is down to `there_mps`, `away_m` on (Krauss 1998)."""
+    """From which speeds one is down to `there_mps`, `away_m` on (Krauss 1998).
+
+    Who is nearer than it should be already falls back within `FALLS_BACK_S`.
+    """
     slack = BRAKING_MPS2 * reaction_s
     square = slack**2 + there_mps**2 + 2.0 * BRAKING_MPS2 * np.maximum(away_m, 0.0)
-    return np.sqrt(square) - slack
+    return np.maximum(np.sqrt(square) - slack + np.minimum(away_m, 0.0) / FALLS_BACK_S, 0.0)
