@@ -99,6 +99,36 @@ def test_allowed_speeds_worked_out_by_hand() -> None:
     assert allowed_mps(red, stood=True) == pytest.approx(to_line)
 
 
+def merging(ego_m: float, other_m: float, other_mps: float, line_m: float = 47.5) -> Observation:
+    """The ego at 2 m/s and another before a merge, 1.0 s and 1.2 s from it at the earliest."""
+    seen = before_line(2.0, line_m, is_stop=False)
+    seen["slot_mask"][:2] = 1.0
+    slot = {7: ego_m, 8: other_m, 4: other_mps, 11: 1.0, 12: 1.0, 13: 1.0, 14: 1.2}
+    for column, value in slot.items():
+        seen["slots"][1, column] = value
+    return seen
+
+
+def test_whoever_can_no_longer_stop_goes_first() -> None:
+    # 6^2 / 5 + 6 * 0.5 = 10.2 m to stop, 10 - 2.5 are left: the ego waits 0.7 m before its nose is
+    # there; with 15 m left it need not.
+    wait = np.sqrt(1.25**2 + 5.0 * (8.0 - 2.5 - 0.7)) - 1.25
+    assert allowed_mps(merging(8.0, 10.0, 6.0), stood=False) == pytest.approx(wait)
+    assert allowed_mps(merging(8.0, 15.0, 6.0), stood=False) == pytest.approx(10.0)
+    # Where there is a line it waits there.
+    wait = np.sqrt(1.25**2 + 5.0 * (3.0 - 0.7)) - 1.25
+    assert allowed_mps(merging(8.0, 10.0, 6.0, line_m=3.0), stood=False) == pytest.approx(wait)
+    # One who is ahead is followed: 20 - 4 m between centres, 5 m of cars and 2 m are kept.
+    follow = np.sqrt(1.25**2 + 36.0 + 5.0 * 9.0) - 1.25
+    assert allowed_mps(merging(20.0, 4.0, 6.0), stood=False) == pytest.approx(follow)
+    # 4 m are missing: it is to be 4 m/s slower.
+    fall = np.sqrt(1.25**2 + 36.0) - 1.25 - 4.0
+    assert allowed_mps(merging(6.0, 3.0, 6.0), stood=False) == pytest.approx(fall)
+    # Who stands before a line of its own is no reason to wait; who is behind the ego neither.
+    assert allowed_mps(merging(9.4, 3.4, 0.0), stood=False) == pytest.approx(10.0)
+    assert allowed_mps(merging(2.0, 10.0, 6.0), stood=False) == pytest.approx(10.0)
+
+
 def test_whoever_has_stood_may_go_until_the_line_is_behind() -> None:
     assert not has_stood(False, before_line(0.0, 10.0))
     assert not has_stood(False, before_line(2.0, 1.0))
