@@ -19,13 +19,14 @@ HIGHWAY = tuple(
 )
 
 ONLY_IN = {
-    "torch": ("hatn", "learn"),
-    "safetensors": ("hatn", "learn"),
+    "torch": ("hatn", "learn", "policies.training"),
+    "safetensors": ("hatn", "learn", "policies.network"),
+    "stable_baselines3": ("policies.training",),
     "libsumo": ("simulators.sumo_worker", "simulators.sumo_replay.worker"),
     "traci": (),
     "sumolib": (),
     "highway_env": HIGHWAY,
-    "gymnasium": ("envs", *HIGHWAY),
+    "gymnasium": ("envs", "policies.lawful_env", *HIGHWAY),
     "pettingzoo": ("envs.parallel_env",),
     "pyarrow": ("log", "recordings"),
     "pyproj": ("recordings",),
@@ -50,7 +51,16 @@ LAYERS = (
         *("conformance", "evaluation", "learn", "log", "loop", "recordings", "report", "score"),
         "traffic",
     ),
-    ("bench", "bench_branch", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
+    (
+        "bench",
+        "bench_branch",
+        "bench_runtime",
+        "bench_scaling",
+        "cli",
+        "commands",
+        "envs",
+        "policies",
+    ),
 )
 """A module may import from its own layer and from those above it in this list, never below."""
 

@@ -1,0 +1,184 @@
+"""Train a policy that drives: PPO or DQN on the environments, until the time is up.
+
+Writes FOLDER/ALGORITHM.safetensors with a card that says how it was made, and progress.jsonl with
+its picture: how long crossing took, and how often it ended in a collision, over the last 50
+episodes, in which the policy tried things out. To drive it,
+write a module of your own (see agents/ppo.py) and name it: hatn-sim run --agent module:Class. Needs
+stable-baselines3: pip install 'hatn-sim[rl]'.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import hatn_sim
+from hatn_sim.commands.options import names, seconds, whole_number
+
+if TYPE_CHECKING:
+    from hatn_sim.policies.training import Progress
+
+EXAMPLES = """examples:
+  hatn-sim train-policy --out my_policy
+  hatn-sim train-policy --algorithm dqn --scenes roundabout8 --minutes 30 --out my_dqn
+  hatn-sim train-policy --predictor hatn --see-predictions --out my_foresight
+"""
+SCENES: Final = ("intersection5", "roundabout8")
+MINUTES: Final = 45.0
+MOST_STEPS: Final = 60_000
+ALGORITHMS: Final = ("ppo", "dqn")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hatn-sim train-policy`."""
+    parser.add_argument("--algorithm", choices=ALGORITHMS, default="ppo")
+    parser.add_argument(
+        "--scenes",
+        type=names,
+        default=SCENES,
+        metavar="A,B",
+        help=f"one environment of each (default: {','.join(SCENES)})",
+    )
+    parser.add_argument(
+        "--minutes", type=seconds, default=MINUTES, metavar="M", help=f"(default: {MINUTES:g})"
+    )
+    parser.add_argument(
+        "--steps",
+        type=whole_number,
+        default=MOST_STEPS,
+        metavar="N",
+        help=f"stop after so many decisions of half a second, too (default: {MOST_STEPS:,})",
+    )
+    parser.add_argument("--density", metavar="light|normal|dense")
+    parser.add_argument("--risk", metavar="NAME", help="of the other drivers")
+    parser.add_argument(
+        "--predictor",
+        default="constant_velocity",
+        metavar="NAME",
+        help="whose graphs and predictions are observed (default: constant_velocity)",
+    )
+    parser.add_argument(
+        "--see-predictions",
+        action="store_true",
+        help="let the policy read predicted paths and slot probabilities, not the moment alone",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="of traffic and networks (default: 1)"
+    )
+    parser.add_argument(
+        "--mark",
+        type=mark,
+        action="append",
+        default=[],
+        metavar="NAME=S",
+        help="the time of another driver, to be drawn into the picture; may be repeated",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def mark(text: str) -> tuple[str, float]:
+    """A driver's name and its seconds, as `idm=30.6`."""
+    name, is_there, number = text.partition("=")
+    if not name or not is_there:
+        raise argparse.ArgumentTypeError(f"expected NAME=SECONDS, found {text!r}")
+    return name, seconds(number)
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Train, write, say how it went."""
+    from hatn_sim.errors import InputError
+
+    out: Path = arguments.out
+    if find_spec("stable_baselines3") is None:
+        raise InputError(
+            "train-policy: expected stable-baselines3, found none; pip install 'hatn-sim[rl]'"
+        )
+    if out.exists():
+        raise InputError(f"{out}: exists already; expected a new folder: choose another --out")
+    if not 0 <= arguments.seed < 2**31:
+        raise InputError(f"--seed {arguments.seed}: expected 0 to {2**31 - 1}")
+    rows = _train(arguments, out / f"{arguments.algorithm}.safetensors")
+    if not rows:
+        print(f"{out}: stopped before ten episodes were over; give it more --minutes or --steps")
+        return 0
+    _draw(arguments, rows)
+    last = rows[-1]
+    print(
+        f"{out}: {last.episodes:,} episodes, {last.steps:,} decisions in {last.minutes:.0f} min; "
+        f"over the last ones {last.time_s:.1f} s to cross, {last.arrived:.0%} arrived, "
+        f"{last.collided:.0%} collided"
+    )
+    return 0
+
+
+def _train(arguments: argparse.Namespace, path: Path) -> list[Progress]:
+    from hatn_sim.commands.train_progress import TrainProgress
+    from hatn_sim.policies.inputs import Layout
+    from hatn_sim.policies.lawful_env import make_lawful
+    from hatn_sim.policies.training import learn, make_learner, write_policy, write_progress
+
+    layout = Layout(arguments.see_predictions)
+    traffic = {key: getattr(arguments, key) for key in ("density", "risk")}
+    together = [
+        make_lawful(scene, arguments.predictor, layout, **traffic) for scene in arguments.scenes
+    ]
+    learner = make_learner(
+        arguments.algorithm, [lambda env=env: env for env in together], layout, arguments.seed
+    )
+    rows: list[Progress] = []
+    with TrainProgress(arguments.quiet) as watch:
+
+        def tell(row: Progress) -> None:
+            rows.append(row)
+            words = f"{row.time_s:.1f} s to cross, {row.collided:.0%} collided"
+            watch.step("decisions", row.steps, arguments.steps, words)
+            write_progress(path.parent / "progress.jsonl", rows)
+
+        def keep() -> None:
+            write_policy(path, learner, layout, _card(arguments, rows))
+
+        try:
+            learn(learner, arguments.minutes, arguments.steps, tell, keep)
+        finally:
+            for env in together:
+                env.close()
+    return rows
+
+
+def _draw(arguments: argparse.Namespace, rows: list[Progress]) -> None:
+    import numpy as np
+
+    from hatn_sim.report.policy_figure import draw_learning
+
+    draw_learning(
+        f"{arguments.algorithm.upper()} learns to cross {' and '.join(arguments.scenes)}",
+        np.array([row.steps / 1000.0 for row in rows]),
+        np.array([row.time_s for row in rows]),
+        np.array([row.collided for row in rows]),
+        dict(arguments.mark),
+        arguments.out / "progress.png",
+    )
+
+
+def _card(arguments: argparse.Namespace, rows: list[Progress]) -> dict[str, Any]:
+    """How the policy was made; the command that makes it again, but for how fast a machine is."""
+    words = ["hatn-sim", "train-policy"]
+    for name, value in vars(arguments).items():
+        if name in ("verb", "quiet", "mark") or value is None or value is False:
+            continue
+        option = f"--{name.replace('_', '-')}"
+        if value is True:
+            words.append(option)
+        else:
+            told = value.name if isinstance(value, Path) else value
+            words += [option, ",".join(told) if isinstance(told, tuple) else f"{told}"]
+    return {
+        "command": shlex.join(words),
+        "hatn_sim": hatn_sim.__version__,
+        "while_exploring": asdict(rows[-1]) if rows else None,
+    }

@@ -1,0 +1,1 @@
+"""Policies that were learnt by driving: what they see, what they may do, and who drives them."""

@@ -1,0 +1,78 @@
+"""A policy as an agent: it observes what the environment would, and drives what it would drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from hatn_sim.datatypes import DT_S, Advice, Command, Scene
+from hatn_sim.envs.observation import Ego, Observation, Sight, observe_slots
+from hatn_sim.graph import build_graphs
+from hatn_sim.perception import PerceptionState, perceive
+from hatn_sim.perception import begin as begin_to_perceive
+from hatn_sim.policies.inputs import inputs_of
+from hatn_sim.policies.law import REACTION_S, has_stood, lawful_mps2, level_mps2
+from hatn_sim.policies.network import Network, load_network
+from hatn_sim.road import Road
+
+HOLDS_FRAMES: Final = round(REACTION_S / DT_S)
+NO_LIMIT: Final = 1.0
+"""Of the time limit of an episode all is left; policies do not look at it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """Of one drive. Handed in and out."""
+
+    perception: PerceptionState  # used where a predictor brings no graphs
+    frames: int = 0
+    speed_mps: float | None = None  # a frame ago
+    stood: bool = False  # at the stop line ahead
+    command_mps2: float = 0.0  # holds until the next decision
+
+
+class PolicyAgent:
+    """Decides every `HOLDS_FRAMES` frames."""
+
+    def __init__(self, weights: Path) -> None:
+        """Raises InputError where the weights cannot be read."""
+        self.network: Network = load_network(weights)
+
+    def init(self, road: Road) -> Memory:
+        """Nothing seen yet."""
+        return Memory(begin_to_perceive(road))
+
+    def step(
+        self, state: Memory, ego_id: str, scene: Scene, advice: Advice
+    ) -> tuple[Memory, Command | None]:
+        """The command of this frame; None where the vehicle is not there."""
+        if ego_id not in scene.ids:
+            return state, None
+        row = scene.ids.index(ego_id)
+        if advice.prediction.graphs is None:
+            state = replace(state, perception=perceive(state.perception, scene, None))
+        if state.frames % HOLDS_FRAMES == 0:
+            state = self._decided(state, row, scene, advice)
+        after = replace(state, frames=state.frames + 1, speed_mps=float(scene.speed_mps[row]))
+        return after, Command(ego_id, state.command_mps2)
+
+    def _decided(self, state: Memory, row: int, scene: Scene, advice: Advice) -> Memory:
+        observation = observed(state, row, scene, advice)
+        stood = has_stood(state.stood, observation)
+        lawful = lawful_mps2(observation, stood)
+        level = self.network.best(inputs_of(self.network.layout, observation, lawful, stood))
+        return replace(state, stood=stood, command_mps2=level_mps2(level, lawful))
+
+
+def observed(state: Memory, row: int, scene: Scene, advice: Advice) -> Observation:
+    """What the environment lets the vehicle in this row of the scene observe."""
+    prediction, seen = advice.prediction, state.perception.seen
+    graphs, lines = prediction.graphs, prediction.lines
+    if graphs is None or lines is None:
+        graphs, lines = build_graphs(state.perception.road, seen), seen.lines
+        prediction = replace(prediction, graphs=graphs, lines=lines, slot_probability=None)
+    speed_mps = float(scene.speed_mps[row])
+    before_mps = speed_mps if state.speed_mps is None else state.speed_mps
+    ego = Ego(row, (speed_mps - before_mps) / DT_S, NO_LIMIT)
+    return observe_slots(scene, ego, Sight(prediction, graphs, lines))

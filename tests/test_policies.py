@@ -1,0 +1,420 @@
+"""Policies: the law by hand and by driving it, two implementations of one network, one observation
+for the environment and the agent."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from conftest import crossing_lanes, scene_of
+
+from hatn_sim import cli
+from hatn_sim.datatypes import DT_S, MAX_NODES, Frame, Truth
+from hatn_sim.envs.action import FASTER_MPS2, SLOWER_MPS2
+from hatn_sim.envs.features import MODES, ON_ROAD, OTHER, OWN, POINTS, SLOT, VEHICLES
+from hatn_sim.envs.mind import glance, open_mind, think
+from hatn_sim.envs.observation import Ego, Observation, observe_slots
+from hatn_sim.errors import InputError
+from hatn_sim.loop import Adviser, begin, tick
+from hatn_sim.policies.driver import PolicyAgent, observed
+from hatn_sim.policies.inputs import Layout, inputs_of
+from hatn_sim.policies.law import (
+    LEVELS_MPS2,
+    REACTION_S,
+    allowed_mps,
+    has_stood,
+    lawful_mps2,
+    level_mps2,
+)
+from hatn_sim.policies.lawful_env import make_lawful, share_of
+from hatn_sim.policies.network import (
+    Network,
+    load_network,
+    save_network,
+    shapes_of,
+    shipped_policy,
+)
+from hatn_sim.predictors.constant_velocity import ConstantVelocity
+from hatn_sim.predictors.find import load_predictor
+from hatn_sim.road import Road
+from hatn_sim.simulators.sumo import SumoSimulator
+
+NAMES = [one.name for one in OWN + ON_ROAD]
+GATE = "centre to a stop line, give-way line or closed signal, 50: none"
+LENGTH_M = 5.0
+
+
+def on_road(speed_mps: float, limit_mps: float = 10.0, **more: float) -> Observation:
+    """An ego on a straight road without anybody."""
+    own = np.zeros(len(NAMES), np.float32)
+    values = {"speed": speed_mps, "length": LENGTH_M, GATE: 50.0} | more
+    for name, value in values.items():
+        own[NAMES.index(name)] = value
+    own[len(OWN)] = 1.0
+    for k, name in enumerate(NAMES):
+        if name.startswith("speed limit"):
+            own[k] = limit_mps
+    return {
+        "ego": own,
+        "vehicles": np.zeros((VEHICLES, len(OTHER)), np.float32),
+        "vehicle_mask": np.zeros(VEHICLES, np.float32),
+        "slots": np.zeros((MAX_NODES, len(SLOT)), np.float32),
+        "slot_mask": np.zeros(MAX_NODES, np.float32),
+        "trajectories": np.zeros((VEHICLES + 1, MODES, POINTS, 2), np.float32),
+        "mode_probability": np.zeros((VEHICLES + 1, MODES), np.float32),
+    }
+
+
+def before_line(speed_mps: float, bumper_m: float, is_stop: bool = True) -> Observation:
+    """The same, with a line this far from its front bumper."""
+    seen = on_road(speed_mps, **{GATE: bumper_m + 0.5 * LENGTH_M})
+    seen["slots"][0, 6] = bumper_m if is_stop else 40.0
+    return seen
+
+
+# -- the law --------------------------------------------------------------------------------------
+
+
+def test_allowed_speeds_worked_out_by_hand() -> None:
+    assert allowed_mps(on_road(3.0), stood=False) == pytest.approx(10.0)
+    # A lateral acceleration of 4 m/s2 or whatever: half the radius, 1/sqrt(2) of the speed.
+    bends = [on_road(3.0, 30.0, **{"curvature at 0 m, left positive": k}) for k in (0.1, -0.2)]
+    first, second = (allowed_mps(one, stood=False) for one in bends)
+    assert first < 10.0 and second == pytest.approx(first / np.sqrt(2.0), rel=1e-5)
+    # -2.5 + sqrt(2.5^2 + 2 * 2.5 * 10) = 5: 12 m to one who stands, 2 m are kept.
+    stands = {"has a leader": 1.0, "gap to the leader, 60: none": 12.0}
+    assert allowed_mps(on_road(3.0, **stands), stood=False) == pytest.approx(5.0)
+    # sqrt(1.25^2 + 2 * 2.5 * 5.3) - 1.25: 6 m to the line, 0.7 m are kept.
+    to_line = np.sqrt(1.25**2 + 26.5) - 1.25
+    assert allowed_mps(before_line(3.0, 6.0), stood=False) == pytest.approx(to_line)
+    assert allowed_mps(before_line(3.0, 6.0), stood=True) == pytest.approx(10.0)
+    assert allowed_mps(before_line(3.0, 6.0, is_stop=False), stood=False) == pytest.approx(10.0)
+    red = before_line(3.0, 6.0, is_stop=False)
+    red["ego"][NAMES.index("a closed signal is before it")] = 1.0
+    assert allowed_mps(red, stood=True) == pytest.approx(to_line)
+
+
+def merging(ego_m: float, other_m: float, other_mps: float, line_m: float = 47.5) -> Observation:
+    """The ego at 2 m/s and another before a merge, 1.0 s and 1.2 s from it at the earliest."""
+    seen = before_line(2.0, line_m, is_stop=False)
+    seen["slot_mask"][:2] = 1.0
+    slot = {7: ego_m, 8: other_m, 4: other_mps, 11: 1.0, 12: 1.0, 13: 1.0, 14: 1.2}
+    for column, value in slot.items():
+        seen["slots"][1, column] = value
+    return seen
+
+
+def test_whoever_can_no_longer_stop_goes_first() -> None:
+    # 6^2 / 5 + 6 * 0.5 = 10.2 m to stop, 10 - 2.5 are left: the ego waits 0.7 m before its nose is
+    # there; with 15 m left it need not.
+    wait = np.sqrt(1.25**2 + 5.0 * (8.0 - 2.5 - 0.7)) - 1.25
+    assert allowed_mps(merging(8.0, 10.0, 6.0), stood=False) == pytest.approx(wait)
+    assert allowed_mps(merging(8.0, 15.0, 6.0), stood=False) == pytest.approx(10.0)
+    # Where there is a line it waits there.
+    wait = np.sqrt(1.25**2 + 5.0 * (3.0 - 0.7)) - 1.25
+    assert allowed_mps(merging(8.0, 10.0, 6.0, line_m=3.0), stood=False) == pytest.approx(wait)
+    # One who is ahead is followed: 20 - 4 m between centres, 5 m of cars and 2 m are kept.
+    follow = np.sqrt(1.25**2 + 36.0 + 5.0 * 9.0) - 1.25
+    assert allowed_mps(merging(20.0, 4.0, 6.0), stood=False) == pytest.approx(follow)
+    # 4 m are missing: it is to be 4 m/s slower.
+    fall = np.sqrt(1.25**2 + 36.0) - 1.25 - 4.0
+    assert allowed_mps(merging(6.0, 3.0, 6.0), stood=False) == pytest.approx(fall)
+    # Who stands before a line of its own is no reason to wait; who is behind the ego neither.
+    assert allowed_mps(merging(9.4, 3.4, 0.0), stood=False) == pytest.approx(10.0)
+    assert allowed_mps(merging(2.0, 10.0, 6.0), stood=False) == pytest.approx(10.0)
+
+
+def test_whoever_has_stood_may_go_until_the_line_is_behind() -> None:
+    assert not has_stood(False, before_line(0.0, 10.0))
+    assert not has_stood(False, before_line(2.0, 1.0))
+    assert has_stood(False, before_line(0.0, 1.0))
+    assert has_stood(True, before_line(1.5, 0.3))
+    assert not has_stood(True, on_road(3.0))
+
+
+def test_nobody_knows_the_law_of_an_unknown_road() -> None:
+    lost = on_road(7.0)
+    lost["ego"][len(OWN) :] = 0.0
+    assert lawful_mps2(lost, stood=False) == 0.0
+    assert level_mps2(LEVELS_MPS2.index(-3.0), 0.0) == -3.0
+    assert level_mps2(len(LEVELS_MPS2) - 1, 0.0) == 0.0
+
+
+def test_a_level_is_an_action_of_the_environment() -> None:
+    for wanted in (-8.0, -3.0, 0.0, 1.4):
+        share = share_of(wanted)
+        assert (share * FASTER_MPS2 if share >= 0 else -share * SLOWER_MPS2) == wanted
+
+
+@pytest.mark.parametrize("speed_mps", [0.5, 6.0, 10.0])
+def test_the_fastest_driver_within_the_law_stops_at_the_line(speed_mps: float) -> None:
+    to_line_m, stood, fastest = 60.0, False, 0.0
+    for _ in range(60):
+        seen = before_line(speed_mps, to_line_m) if to_line_m < 47.0 else on_road(speed_mps)
+        stood = has_stood(stood, seen)
+        if stood:
+            break
+        level = level_mps2(len(LEVELS_MPS2) - 1, lawful_mps2(seen, stood))
+        after_mps = max(speed_mps + REACTION_S * level, 0.0)
+        to_line_m -= 0.5 * (speed_mps + after_mps) * REACTION_S
+        speed_mps, fastest = after_mps, max(fastest, after_mps)
+        assert to_line_m > 0.0 and level > -4.0
+    assert stood and fastest == pytest.approx(10.0, abs=0.1)
+
+
+# -- the network ----------------------------------------------------------------------------------
+
+
+def random_network(layout: Layout, seed: int = 0) -> Network:
+    rng = np.random.default_rng(seed)
+    tensors = {
+        name: rng.normal(0.0, 0.3, shape).astype(np.float32)
+        for name, shape in shapes_of(layout).items()
+    }
+    return Network(layout, tensors, {"note": "learnt nothing"})
+
+
+def test_without_sight_of_predictions_they_do_not_count() -> None:
+    rng = np.random.default_rng(1)
+    seen = on_road(5.0)
+    told = dict(seen)
+    told["trajectories"] = rng.normal(0.0, 9.0, seen["trajectories"].shape).astype(np.float32)
+    told["slots"] = seen["slots"].copy()
+    told["slots"][:, -1] = 0.3
+    blind, sighted = Layout(False), Layout(True)
+    np.testing.assert_array_equal(
+        inputs_of(blind, seen, 1.0, False), inputs_of(blind, told, 1.0, False)
+    )
+    rows = [inputs_of(sighted, one, 1.0, False) for one in (seen, told)]
+    assert rows[0].shape == (sighted.size,) and (rows[0] != rows[1]).sum() > 100
+    # An episode's end hurries nobody.
+    late = dict(seen) | {"ego": seen["ego"].copy()}
+    late["ego"][len(OWN) - 1] = 0.7
+    np.testing.assert_array_equal(
+        inputs_of(sighted, seen, 1.0, False), inputs_of(sighted, late, 1.0, False)
+    )
+
+
+def test_the_order_of_vehicles_is_without_effect() -> None:
+    rng = np.random.default_rng(2)
+    seen = on_road(5.0)
+    seen["vehicles"][:4] = rng.normal(0.0, 9.0, (4, len(OTHER)))
+    seen["vehicle_mask"][:4] = 1.0
+    turned = dict(seen) | {"vehicles": seen["vehicles"].copy()}
+    turned["vehicles"][:4] = seen["vehicles"][[2, 0, 3, 1]]
+    masked = dict(seen) | {"vehicles": seen["vehicles"].copy()}
+    masked["vehicles"][9] = 5.0
+    network = random_network(Layout(False))
+    values = [network.values(inputs_of(network.layout, one, 1.0, False)) for one in (seen, turned)]
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
+    behind_mask = network.values(inputs_of(network.layout, masked, 1.0, False))
+    np.testing.assert_array_equal(values[0], behind_mask)
+
+
+def test_weights_come_back_and_damaged_ones_are_refused(tmp_path: Path) -> None:
+    path, network = tmp_path / "mine.safetensors", random_network(Layout(True))
+    save_network(path, network)
+    back = load_network(path)
+    row = np.linspace(-1.0, 1.0, network.layout.size, dtype=np.float32)
+    np.testing.assert_array_equal(back.values(row), network.values(row))
+    assert back.card["note"] == "learnt nothing"
+    card = json.loads(path.with_suffix(".json").read_text())
+    for key, value, said in (
+        ("levels_mps2", [1.0], "another levels_mps2"),
+        ("sees_predictions", False, "not of the shapes of the card"),
+        ("features", {}, "another features"),
+    ):
+        path.with_suffix(".json").write_text(json.dumps(card | {key: value}))
+        with pytest.raises(InputError, match=said):
+            load_network(path)
+    save_network(path, replace(network, tensors={k: v * np.nan for k, v in back.tensors.items()}))
+    with pytest.raises(InputError, match="not finite"):
+        load_network(path)
+    path.write_bytes(b"nothing")
+    with pytest.raises(InputError, match="cannot be read with its card"):
+        load_network(path)
+
+
+class OneIsRight(gymnasium.Env[np.ndarray, int]):
+    """Pays for the hardest braking where the first number is negative, else for the other end."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (layout.size,), np.float32)
+        self.action_space = gymnasium.spaces.Discrete(len(LEVELS_MPS2))
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        self._left = 10
+        return self._row(), {}
+
+    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        paid = float(action == (0 if self._now < 0 else len(LEVELS_MPS2) - 1))
+        self._left -= 1
+        over = self._left == 0
+        return self._row(), paid, over, False, {"end": "arrived", "driven_s": 5.0}
+
+    def _row(self) -> np.ndarray:
+        row = self.np_random.normal(0.0, 0.1, self.observation_space.shape).astype(np.float32)
+        self._now = row[0] = self.np_random.choice((-1.0, 1.0))
+        return row
+
+
+@pytest.mark.parametrize(("algorithm", "steps"), [("ppo", 4096), ("dqn", 4000)])
+def test_what_is_learnt_drives_the_same_without_torch(algorithm: Any, steps: int) -> None:
+    pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
+    import torch
+
+    from hatn_sim.policies.training import learn, make_learner, network_of
+
+    layout = Layout(False)
+    make_env: Any = lambda: OneIsRight(layout)  # noqa: E731 - stands in for the traffic
+    learner = make_learner(algorithm, [make_env, make_env], layout, seed=3)
+    told: list[Any] = []
+    rows = learn(learner, 10.0, steps, told.append, lambda: None)
+    assert rows == told and rows[-1].arrived == 1.0 and rows[-1].time_s == 5.0
+    network = network_of(learner, layout, {})
+    assert {name: one.shape for name, one in network.tensors.items()} == shapes_of(layout)
+    right = 0
+    for seed in range(40):
+        row, _ = (env := OneIsRight(layout)).reset(seed=seed)
+        chosen, _ = learner.predict(row, deterministic=True)
+        assert network.best(row) == int(chosen)
+        right += int(chosen) == (0 if env._now < 0 else len(LEVELS_MPS2) - 1)
+        with torch.no_grad():
+            batch = torch.from_numpy(row)[None]
+            if algorithm == "dqn":
+                theirs = learner.q_net(batch)[0].numpy()  # type: ignore[attr-defined]
+            else:
+                theirs = learner.policy.get_distribution(batch).distribution.logits[0].numpy()
+        ours = network.values(row)
+        np.testing.assert_allclose(ours - ours.mean(), theirs - theirs.mean(), atol=1e-4)
+    assert right >= 36
+
+
+# -- the agent ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.safetensors"
+    save_network(path, random_network(Layout(True), seed=4))
+    return path
+
+
+def test_an_agent_makes_graphs_itself_where_a_predictor_has_none(weights: Path) -> None:
+    road = Road(crossing_lanes())
+    mind = open_mind(ConstantVelocity(), "inferred", "ego", road)
+    agent = PolicyAgent(weights)
+    state = agent.init(road)
+    lane_routes = (("w", "we", "e"), ("s", "sn", "n"))
+    for k in range(11):
+        ego_mps = 10.0 - 0.3 * k
+        places = {
+            "ego": (-40.0 + 10.0 * k * DT_S, 0.0, 0.0, ego_mps),
+            "other": (0.0, -28.0 + 8.0 * k * DT_S, np.pi / 2, 8.0),
+        }
+        frame = Frame(scene_of(k * DT_S, places), Truth(lane_routes), done=False)
+        if k < 10:
+            mind = glance(mind, frame)
+            _, thought = think(mind, frame)
+        else:
+            mind, thought = think(mind, frame)
+        before = state
+        state, command = agent.step(state, "ego", frame.scene, thought.advice)
+        assert command is not None and command.ego_id == "ego"
+    seen = replace(state, speed_mps=before.speed_mps)
+    ours = observed(seen, 0, frame.scene, thought.advice)
+    theirs = observe_slots(frame.scene, Ego(0, -3.0, 1.0), thought.sight)
+    for key, value in theirs.items():
+        np.testing.assert_allclose(ours[key], value, atol=1e-5, err_msg=key)
+    assert agent.step(state, "somebody else", frame.scene, thought.advice) == (state, None)
+
+
+def test_an_agent_drives_as_its_network_does_in_the_environment(weights: Path) -> None:
+    network, steps, seed = load_network(weights), 12, 11
+    env = make_lawful("intersection5", "hatn", network.layout, warm_up_s=20.0, ego="taken_over")
+    row, info = env.reset(seed=seed)
+    ego_id, driven = info["ego_id"], []
+    for _ in range(steps):
+        row, _, is_over, _, info = env.step(network.best(row))
+        assert not is_over
+        scene = info["seen"].scene
+        driven.append(scene.xy_m[scene.ids.index(ego_id)])
+    env.close()
+
+    simulator = SumoSimulator(env.unwrapped.scenario)
+    try:
+        frame = simulator.reset(seed)
+        adviser = Adviser(load_predictor("hatn"), egos=frozenset({ego_id}))
+        agent = PolicyAgent(weights)
+        advised, state = begin(adviser, simulator.road), agent.init(simulator.road)
+        begins_s = info["time_s"] - steps * REACTION_S
+        ours = []
+        while len(ours) < steps:
+            if frame.scene.time_s > begins_s - 1.2:
+                advised, advice = tick(adviser, advised, frame)
+            command = None
+            if frame.scene.time_s > begins_s - 0.01:
+                state, command = agent.step(state, ego_id, frame.scene, advice)
+                if state.frames % 5 == 1 and state.frames > 1:
+                    ours.append(frame.scene.xy_m[frame.scene.ids.index(ego_id)])
+            frame = simulator.step(() if command is None else (command,))
+    finally:
+        simulator.close()
+    np.testing.assert_allclose(ours, driven, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["ppo", "dqn"])
+def test_shipped_policies_are_small_and_say_how_they_were_made(name: str) -> None:
+    path = shipped_policy(name)
+    network = load_network(path)
+    assert path.stat().st_size < 2_000_000
+    assert f"--algorithm {name}" in network.card["command"]
+
+
+# -- the command ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--out", "."], "exists already"),
+        (["--out", "new", "--seed", "-1"], "--seed -1: expected 0 to"),
+        (["--out", "new", "--scenes", "intersecton5"], "did you mean 'intersection5'"),
+        (["--out", "new", "--predictor", "hatnn"], "did you mean 'hatn'"),
+        (["--out", "new", "--mark", "idm"], "expected NAME=SECONDS, found 'idm'"),
+        (["--out", "new", "--algorithm", "sac"], "invalid choice"),
+    ],
+)
+def test_what_is_wrong_with_a_training(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: Any, tmp_path: Any
+) -> None:
+    pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = cli.main(["train-policy", *words])
+    except SystemExit as exit_:
+        code = int(exit_.code or 0)
+    printed = capsys.readouterr().err
+    assert code == 2 and said in printed and printed.count("\n") <= 2
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+def test_a_short_training_leaves_weights_card_progress_and_a_picture(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
+    out = tmp_path / "new"
+    words = ["--scenes", "intersection5", "--steps", "2000", "--out", str(out), "--quiet"]
+    assert cli.main(["train-policy", *words, "--mark", "idm=30"]) == 0
+    assert "decisions in" in capsys.readouterr().out
+    network = load_network(out / "ppo.safetensors")
+    assert str(tmp_path) not in network.card["command"]
+    assert len((out / "progress.jsonl").read_text().splitlines()) >= 1
+    assert (out / "progress.png").stat().st_size > 10_000
