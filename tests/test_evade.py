@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_alert import moment
+from test_alert import moment, row
 
 from hatn_sim.assist.evade import BRAKE, CLEAR, HOLDS_S, evasions, warn
 from hatn_sim.assist.moment import Moment
@@ -72,6 +72,23 @@ def test_who_comes_second_brakes_though_it_is_late() -> None:
     """b is in the area before a, who cannot stop any more after a second: it does not hurry."""
     seen = moment((14.0, 10.0, 0.0), (9.0, 9.0, 0.0))
     assert warn(seen, 0, 1, False).action == BRAKE
+
+
+@pytest.mark.parametrize(("away_m", "speed_mps"), [(32.0, 12.0), (20.0, 12.0), (11.0, 14.0)])
+def test_of_two_who_follow_the_one_behind_brakes_however_late(
+    away_m: float, speed_mps: float
+) -> None:
+    """Towards one who all but stands: stopping takes 4 m/s2 after a second, then 16, then there is
+    no room left. The one ahead is not told to brake for the one behind."""
+    seen = row(away_m, speed_mps)
+    front, rear = (seen.scene.ids.index(name) for name in ("front", "rear"))
+    for first, second in ((front, rear), (rear, front)):
+        told = warn(seen, first, second, True)
+        assert (told.ego, told.action) == (rear, BRAKE)
+        assert told.room_m is not None and np.isfinite(told.room_m)
+    assert warn(seen, rear, front, False).action == BRAKE
+    alone = warn(seen, front, rear, False)
+    assert (alone.ego, alone.action, alone.room_m) == (front, CLEAR, None)
 
 
 def test_two_who_are_no_pair_are_told_nothing() -> None:

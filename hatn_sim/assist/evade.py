@@ -44,6 +44,7 @@ EDGE_M: Final = 0.1
 """Who stands this near to a place stays out of it."""
 OUT_BEFORE_S: Final = 0.5
 """Who goes on is to be out so long before the other comes in."""
+_IS_SECOND: Final = np.array([False, True])
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,7 @@ def evasions(moment: Moment, pairs: Pairs) -> Evasions:
     way_m = travelled_m(moment.scene, moment.prediction)
     own, its = _times(moment, pairs, way_m)
     follows = (pairs.type == FOLLOW)[:, None]
+    is_follower = follows & _IS_SECOND
     room_m = np.where(follows, _room_behind_m(pairs, way_m), pairs.room_m)
     # Who is nearer than that already stays where he is.
     room_m = room_m - np.clip(room_m - EDGE_M, 0.0, 0.5 * SHORT_M)
@@ -70,14 +72,15 @@ def evasions(moment: Moment, pairs: Pairs) -> Evasions:
     gone_m, then_mps = (of[pairs.index, 0] for of in travel_at(way_m, np.array([REACTION_S])))
     left_m, left_s = room_m + NOSE_M - gone_m, open_s - REACTION_S
     needed = required_deceleration_mps2(left_m, then_mps, left_s)
-    needed = np.where(left_m > 0.0, needed, np.inf)
+    needed = np.where((left_m > 0.0) | is_follower, needed, np.inf)
     needed[left_s <= 0.0] = 0.0
     clear_m = np.maximum(pairs.clear_m - gone_m, 0.0)
     fastest_mps = np.sqrt(then_mps**2 + 2.0 * COMFORT_ACCELERATION_MPS2 * clear_m)
     out_s = REACTION_S + (fastest_mps - then_mps) / COMFORT_ACCELERATION_MPS2
     is_out = ~follows & (out_s + OUT_BEFORE_S <= its.enter_s)
-    # Who comes second has nothing to clear.
+    # Who comes second has nothing to clear, nor has a follower; a leader's braking helps nobody.
     can = (needed <= HARD_BRAKING_MPS2) | ((its.enter_s < own.enter_s) & (pairs.room_m > 0.0))
+    can = np.where(follows, is_follower, can)
     brakes = (needed <= COMFORT_BRAKING_MPS2) | (~is_out & can)
     return Evasions(brakes, needed, room_m, open_s)
 
