@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_alert import moment, row
 
 from hatn_sim.assist.evade import BRAKE, CLEAR, HOLDS_S, evasions, warn
 from hatn_sim.assist.moment import Moment
+from hatn_sim.assist.pairs import CROSS, MERGE
 
 # Of each car, of 5 m x 2 m, the area begins 3.5 m before the middle of the crossing for its centre:
 # 6 m - 2.5 m of half its length; it is out 3.5 m behind.
@@ -66,6 +69,17 @@ def test_who_is_in_the_place_or_out_in_time_does_not_stop_in_it() -> None:
     # 12 m before the middle at 9 m/s nobody stops in comfort after a second; b comes in 4 s.
     early = warn(moment((12.0, 9.0, 0.0), (43.0, 10.0, 0.0)), 0, 1, False)
     assert early.action == CLEAR
+
+
+def test_nobody_is_sent_before_a_faster_one_in_its_lane() -> None:
+    """a is out after 2.2 s at 10.5 m/s, b comes after 3.0 s at 18 m/s: on a crossing that is early
+    enough; where they merge, b takes 0.5 s more to slow down in comfort."""
+    seen = moment((16.0, 8.0, 0.0), (58.0, 18.0, 0.0))
+    assert seen.pairs.type.tolist() == [CROSS]
+    crossing, (a, _) = evasions(seen, seen.pairs), sides(seen)
+    merging = evasions(seen, replace(seen.pairs, type=np.array([MERGE])))
+    assert not crossing.brakes[0, a]
+    assert merging.brakes[0, a]
 
 
 def test_who_comes_second_brakes_though_it_is_late() -> None:
