@@ -130,13 +130,14 @@ def warn(moment: Moment, first: int, second: int, either: bool) -> Warned:
         return Warned(first, second, CLEAR, text=f"Go on, do not stop in the way of {who}")
     open_s = max(float(found.open_s[place]), _all_gone_s(moment, first, second))
     hard = " hard" if found.needed_mps2[place] > COMFORT_BRAKING_MPS2 else ""
+    follows = pairs.type[place[0]] == FOLLOW
     return Warned(
         first,
         second,
         BRAKE,
         room_m=float(found.room_m[place]),
         open_s=min(open_s, HOLDS_S),
-        text=f"Brake{hard}: let {who} go first",
+        text=f"Brake{hard}: " + (f"keep behind {who}" if follows else f"let {who} go first"),
     )
 
 
