@@ -192,6 +192,17 @@ def test_who_touches_or_did_is_past_warning() -> None:
     assert onsets == [0.8, 7.0]  # 5 s after they touched last, at 1.9 s
 
 
+def test_an_alert_goes_on_over_the_contact_it_warned_of() -> None:
+    state, ends = AlertState(), list[float]()
+    for frame in range(60):
+        ids = {"b": (0.0, 0.0, 0.0, 1.0), "a": (3.0 if frame >= 10 else 9.0, 0.0, 0.0, 1.0)}
+        danger = 0.9 if 8 <= frame < 30 else 0.0
+        found = PairDangers(np.array([0]), np.array([1]), np.array([danger]))
+        state, edges = alert(state, scene_of(0.1 * frame, ids), found, SETTINGS, None)
+        ends += [round(one.time_s, 1) for one in edges if one.edge == "end"]
+    assert ends == [2.9]
+
+
 def test_dangers_are_looked_at_as_often_as_in_calibration() -> None:
     state, looked = AlertState(), list[float]()
     nothing = PairDangers(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import scene_of
 
-from hatn_sim.assist.alert import AlertState, alert
+from hatn_sim.assist.alert import AlertState, Met, alert, with_touched
 from hatn_sim.assist.moment import PairDangers
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import SafetyEvent, Score
@@ -128,13 +128,15 @@ def test_alerts_afterwards_are_those_that_were_raised_live(seed: int) -> None:
     settings = AssistSettings()
     level = np.abs(np.cumsum(rng.normal(0.0, 0.5, (150, 3)), axis=0)) * (rng.random((150, 3)) < 0.8)
     first, second = np.array([0, 0, 1]), np.array([1, 2, 2])
-    recorder, state = DangerRecorder(), AlertState()
+    recorder, state, met = DangerRecorder(), AlertState(), Met()
     raised: list[tuple[str, str, str, float]] = []
     nothing = PairDangers(first[:0], second[:0], level[0, :0])
     for k in range(180):
-        scene = scene_of(0.2 * k, {name: (9.0 * n, 0.0, 0.0, 1.0) for n, name in enumerate("cab")})
+        at_m = {"c": 0.0, "a": 9.0 if k % 70 < 40 + 4 * seed else 3.0, "b": 18.0}
+        scene = scene_of(0.2 * k, {name: (x_m, 0.0, 0.0, 1.0) for name, x_m in at_m.items()})
         found = PairDangers(first, second, level[k]) if k < len(level) else nothing
-        recorder.add(scene.time_s, scene.ids, found)
+        met, marked = with_touched(met, scene, found)
+        recorder.add(scene.time_s, scene.ids, marked)
         state, edges = alert(state, scene, found, settings, None)
         raised += [(*sorted((e.ego_id, e.other_id)), e.edge, e.time_s) for e in edges]
     told = [

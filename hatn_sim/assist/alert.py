@@ -6,8 +6,8 @@ if the danger reaches the onset threshold again within `cool_down_s` of its end,
 alert. A pair has one alert at a time; its type is that of its onset.
 
 Dangers are looked at every `LOOK_S`, as they were when the thresholds were calibrated: whoever
-looked more often would be alarmed more often. Those who touch, or did a little while ago, are past
-warning.
+looked more often would be alarmed more often. For those who touch, or did a little while ago,
+no alert begins: they are past warning.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from hatn_sim.assist.moment import CONFLICT, TYPES, PairDangers
 from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.assist.settings import AssistSettings
-from hatn_sim.datatypes import Alert, FloatArray, IntArray, Scene
+from hatn_sim.datatypes import Alert, BoolArray, FloatArray, IntArray, Scene
 
 LOOK_S: Final = 0.2
 WITHIN_S: Final = 5.0
@@ -110,8 +110,8 @@ def alert(
     The ego of an alert is one of `egos`; where both are, `warn` chooses. Once it is known that an
     alert is over, its `peak` and its `end` are told, at the times when they were.
     """
-    met, dangers = without_met(state.met, scene, dangers)
-    first, second, danger, type_ = _worst(dangers, settings.alert_end)
+    met, dangers = with_touched(state.met, scene, dangers)
+    first, second, danger, type_, touched = _worst(dangers, settings.alert_end)
     edges: list[Alert] = []
     still = dict(state.open)
     count = state.count
@@ -121,15 +121,15 @@ def alert(
             edges.append(replace(held.alert, edge="peak"))
             edges.append(replace(held.alert, edge="end", time_s=end_s))
             del still[key]
-    for a, b, value, kind in zip(
-        first.tolist(), second.tolist(), danger.tolist(), type_.tolist(), strict=True
+    for a, b, value, kind, is_past in zip(
+        *(of.tolist() for of in (first, second, danger, type_, touched)), strict=True
     ):
         is_ego = [egos is None or scene.ids[v] in egos for v in (a, b)]
         if not any(is_ego):
             continue
         key = min(scene.ids[a], scene.ids[b]), max(scene.ids[a], scene.ids[b])
         before = still.get(key)
-        starts = value >= settings.alert_onset
+        starts = value >= settings.alert_onset and not is_past
         goes_on = (
             before is not None and scene.time_s - before.last_s <= settings.end_after_s + ROUNDING_S
         )
@@ -173,8 +173,8 @@ def alert(
     return AlertState(still, count, met, scene.time_s), tuple(edges)
 
 
-def without_met(met: Met, scene: Scene, dangers: PairDangers) -> tuple[Met, PairDangers]:
-    """The dangers of those who do not touch, and did not within `AFTER_CONTACT_S`."""
+def with_touched(met: Met, scene: Scene, dangers: PairDangers) -> tuple[Met, PairDangers]:
+    """Who of the pairs touch, or did within `AFTER_CONTACT_S`."""
     first, second = dangers.first, dangers.second
     boxes = Boxes(scene.xy_m, scene.yaw_rad, scene.size_m)
     touch = overlap(boxes[first], boxes[second])
@@ -187,23 +187,26 @@ def without_met(met: Met, scene: Scene, dangers: PairDangers) -> tuple[Met, Pair
         for a, b in zip(first.tolist(), second.tolist(), strict=True)
     ]
     at_s |= {pair: now_s for pair, is_met in zip(names, touch.tolist(), strict=True) if is_met}
-    kept = np.array([pair not in at_s for pair in names], dtype=np.bool_)
-    kind = None if dangers.type is None else dangers.type[kept]
-    return Met(at_s), PairDangers(first[kept], second[kept], dangers.danger[kept], kind)
+    touched = np.array([pair in at_s for pair in names], dtype=np.bool_)
+    return Met(at_s), replace(dangers, touched=touched)
 
 
-def _worst(dangers: PairDangers, least: float) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+def _worst(
+    dangers: PairDangers, least: float
+) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
     """Pairs with a danger of `least` or more, each once, with its greatest danger."""
     some = np.flatnonzero(dangers.danger >= least)
     first, second, danger = dangers.first[some], dangers.second[some], dangers.danger[some]
     kind = np.full(len(some), CONFLICT) if dangers.type is None else dangers.type[some]
+    nobody = np.zeros(len(some), dtype=np.bool_)
+    touched = nobody if dangers.touched is None else dangers.touched[some]
     low, high = np.minimum(first, second), np.maximum(first, second)
     order = np.lexsort((-danger, high, low))
     key = np.stack((low, high), axis=1)[order]
     new = np.ones(len(order), dtype=np.bool_)
     new[1:] = (np.diff(key, axis=0) != 0).any(axis=1)
     best = order[new]
-    return first[best], second[best], danger[best], kind[best]
+    return first[best], second[best], danger[best], kind[best], touched[best]
 
 
 def _reason(type_: str, danger: float, deviates_id: str) -> str:

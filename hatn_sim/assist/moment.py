@@ -11,7 +11,7 @@ import numpy as np
 
 from hatn_sim.assist.pairs import Pairs, pairs_of
 from hatn_sim.assist.settings import AssistSettings
-from hatn_sim.datatypes import FloatArray, IntArray, Prediction, Scene
+from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Prediction, Scene
 from hatn_sim.perception import Perception
 from hatn_sim.road import Road
 
@@ -56,6 +56,7 @@ class PairDangers:
     second: IntArray
     danger: FloatArray  # 0: none
     type: IntArray | None = None  # index into TYPES; None: all CONFLICT
+    touched: BoolArray | None = None  # a little while ago, or now; None: nobody
 
 
 AlertRule = Callable[[Moment], PairDangers]

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hatn_sim.assist.agree import agreeing
-from hatn_sim.assist.alert import LOOK_S, AlertState, Met, alert, without_met
+from hatn_sim.assist.alert import LOOK_S, AlertState, Met, alert, with_touched
 from hatn_sim.assist.baselines import RULES
 from hatn_sim.assist.danger import HATN, SIGNS_OF
 from hatn_sim.assist.evade import warn
@@ -178,7 +178,7 @@ class _Looking:
         told = Advice(prediction, suggestions, alerts)
         self._advice.add(index, scene.time_s, told, sampled)
         for name, recorder in self._dangers.items():
-            self._met[name], found = without_met(self._met[name], scene, dangers[name])
+            self._met[name], found = with_touched(self._met[name], scene, dangers[name])
             recorder.add(scene.time_s, scene.ids, found)
         if self._what_if is not None:
             # Advice is judged in the window only; the whole of a branch lies in the run.

@@ -19,8 +19,8 @@ from hatn_sim.score.dangers import DangerTrace
 from hatn_sim.score.sign_traces import SignTrace
 from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
-FORMAT: Final = 3
-_TRACE: Final = ("time_s", "first", "second", "danger", "type")
+FORMAT: Final = 4
+_TRACE: Final = ("time_s", "first", "second", "danger", "type", "touched")
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 
 from hatn_sim.assist.moment import CONFLICT, TYPES, PairDangers
 from hatn_sim.assist.settings import AssistSettings
-from hatn_sim.datatypes import AlertInterval, FloatArray, IntArray, SafetyEvent
+from hatn_sim.datatypes import AlertInterval, BoolArray, FloatArray, IntArray, SafetyEvent
 
 ROUNDING_S: Final = 1e-6
 
@@ -29,6 +29,7 @@ class DangerTrace:
     second: IntArray  # [D]
     danger: FloatArray  # [D] higher is worse
     type: IntArray  # [D] index into `TYPES`
+    touched: BoolArray  # [D] no alert begins any more
 
 
 class DangerRecorder:
@@ -47,11 +48,12 @@ class DangerRecorder:
         named: list[int] = np.unique(np.concatenate([first, second])).tolist()
         number = {v: index.setdefault(ids[v], len(index)) for v in named}
         kind = np.full(len(first), CONFLICT) if dangers.type is None else dangers.type
+        touched = np.zeros(len(first)) if dangers.touched is None else dangers.touched
         told = [
             [number[a], number[b]] for a, b in zip(first.tolist(), second.tolist(), strict=True)
         ]
         self._rows.append(
-            np.column_stack([np.full(len(first), time_s), told, dangers.danger, kind])
+            np.column_stack([np.full(len(first), time_s), told, dangers.danger, kind, touched])
         )
 
     def trace(self) -> DangerTrace:
@@ -61,13 +63,19 @@ class DangerRecorder:
     def whole(self) -> DangerTrace:
         """All that was taken in; of a pair that was named twice at a moment, both."""
         ids = tuple(sorted(self._index))
-        rows = np.concatenate([np.zeros((0, 5)), *self._rows])
+        rows = np.concatenate([np.zeros((0, 6)), *self._rows])
         place = np.argsort(np.argsort(np.array(list(self._index), dtype=np.str_)))
         pair = np.sort(place[rows[:, 1:3].astype(np.int64)], axis=1)
         order = np.lexsort((rows[:, 0], pair[:, 1], pair[:, 0]))
         rows, pair = rows[order], pair[order]
         return DangerTrace(
-            ids, rows[:, 0], pair[:, 0], pair[:, 1], rows[:, 3], rows[:, 4].astype(np.int64)
+            ids=ids,
+            time_s=rows[:, 0],
+            first=pair[:, 0],
+            second=pair[:, 1],
+            danger=rows[:, 3],
+            type=rows[:, 4].astype(np.int64),
+            touched=rows[:, 5] > 0.0,
         )
 
 
@@ -79,7 +87,7 @@ def worst_of_each(trace: DangerTrace) -> DangerTrace:
     new = np.ones(len(some), dtype=np.bool_)
     new[1:] = (np.diff(key[order], axis=0) != 0.0).any(axis=1)
     kept = some[order[new]]
-    columns = ("time_s", "first", "second", "danger", "type")
+    columns = ("time_s", "first", "second", "danger", "type", "touched")
     return replace(trace, **{name: getattr(trace, name)[kept] for name in columns})
 
 
@@ -104,7 +112,7 @@ def alerts_at(
     )
     start = np.flatnonzero(begins)
     stop = np.append(start[1:], len(row))
-    reached = np.flatnonzero(danger >= threshold)
+    reached = np.flatnonzero((danger >= threshold) & ~trace.touched[row])
     first = np.searchsorted(reached, start)
     alerts: list[AlertInterval] = []
     before: tuple[int, ...] = ()
