@@ -12,6 +12,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from hatn_sim.assist.agree import agreeing
 from hatn_sim.assist.alert import AlertState, alert
 from hatn_sim.assist.danger import hatn_rule
 from hatn_sim.assist.evade import warn
@@ -218,7 +219,8 @@ def advise(
     if not adviser.alerts:
         return state, Advice(prediction, suggestions, ())
     state, alerts = alerts_of(adviser, state, moment)
-    return state, Advice(prediction, suggestions, alerts)
+    told = state.alerts.told(scene.time_s, adviser.settings)
+    return state, Advice(prediction, agreeing(suggestions, told, scene), alerts)
 
 
 def moment_of(adviser: Adviser, state: AdviserState, prediction: Prediction) -> Moment:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +62,30 @@ def moment(
     return Moment(state.road, seen, prediction, prediction)
 
 
+def row(away_m: float, rear_mps: float) -> Moment:
+    """Two in a lane, their middles so far apart, the one ahead at 0.5 m/s; predicted to go on."""
+    state = begin(Road(crossing_lanes()))
+    for frame in range(11):
+        way_m = 0.1 * (frame - 10) * rear_mps
+        vehicles = {
+            "front": (-20.0, 0.0, 0.0, 0.5),
+            "rear": (-20.0 - away_m + way_m, 0.0, 0.0, rear_mps),
+        }
+        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
+    scene, graphs = state.seen.scene, build_graphs(state.road, state.seen)
+    prediction = Prediction(
+        ids=scene.ids,
+        xy_m=extrapolate(scene)[:, None],
+        mode_probability=np.ones((2, 1)),
+        fallback=np.zeros(2, dtype=np.bool_),
+        adapted=np.zeros(2, dtype=np.bool_),
+        lines=state.seen.lines,
+        graphs=graphs,
+        slot_probability=np.zeros(graphs.node_mask.shape),
+    )
+    return Moment(state.road, state.seen, prediction)
+
+
 def test_danger_grows_as_they_come_nearer_and_ends_where_one_gives_way() -> None:
     def danger(east: tuple[float, float, float], north: tuple[float, float, float]) -> float:
         return float(hatn_rule(moment(east, north)).danger.sum())
@@ -111,25 +134,8 @@ def test_who_gives_way_more_easily_is_warned() -> None:
         seen = moment(one, other)
         found = hatn_rule(seen)
         assert seen.scene.ids[found.first[0]] == warned
-    state = begin(Road(crossing_lanes()))
-    for frame in range(11):
-        way_m = 0.1 * frame * 12.0
-        vehicles = {"front": (-20.0, 0.0, 0.0, 0.5), "rear": (-52.0 + way_m, 0.0, 0.0, 12.0)}
-        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
-    scene = state.seen.scene
-    following = replace(
-        moment((25.0, 9.0, 0.0), (20.0, 9.0, 0.0)),
-        road=state.road,
-        seen=state.seen,
-        prediction=Prediction(
-            ids=scene.ids,
-            xy_m=extrapolate(scene)[:, None],
-            mode_probability=np.ones((2, 1)),
-            fallback=np.zeros(2, dtype=np.bool_),
-            adapted=np.zeros(2, dtype=np.bool_),
-            lines=state.seen.lines,
-        ),
-    )
+    following = row(20.0, 12.0)
+    scene = following.scene
     found = hatn_rule(following)
     assert [scene.ids[v] for v in found.first.tolist()] == ["rear"]
 

@@ -143,7 +143,8 @@ def test_what_a_driver_does_when_he_has_his_vehicle_back_is_his_own_doing() -> N
         branch({"ego": own, "other": constant(0.0)}, starts) for own in (constant(10.0), later)
     )
     assert judge_alert(never, in_four_s, "ego", 4.0).verdict == "harmful"
-    assert judge_alert(never, in_four_s, "ego", 3.9).verdict == "unneeded"
+    late = judge_alert(never, in_four_s, "ego", 3.9)
+    assert (late.verdict, late.obeyed, late.to_the_end) == ("unneeded", (), "harmful")
     assert judge_alert(in_four_s, never, "ego", 3.9).verdict == "unneeded"  # and so either way
 
 
@@ -214,6 +215,10 @@ def test_the_tally() -> None:
     assert words[0].startswith("counterfactuals: 2 alerts judged: 1 useful, 1 unneeded, 0 harmful")
     assert words[-1].startswith("settings of counterfactuals: reaction_s 1, horizon_s 8")
     assert tally([]).regrets.advised is None
+    late = tally([one | {"to_the_end": "harmful"} for one in alerts])
+    assert tally_words(late, CounterfactualSettings())[1].endswith(
+        ": 0 useful, 0 unneeded, 2 harmful, 0 unavailing"
+    )
 
 
 # ---------------------------------------------------------------------------------------------

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from test_alert import moment
+from test_alert import moment, row
 
 from hatn_sim.assist.evade import BRAKE, CLEAR, HOLDS_S, evasions, warn
 from hatn_sim.assist.moment import Moment
+from hatn_sim.assist.pairs import CROSS, MERGE
 
 # Of each car, of 5 m x 2 m, the area begins 3.5 m before the middle of the crossing for its centre:
 # 6 m - 2.5 m of half its length; it is out 3.5 m behind.
@@ -68,10 +71,39 @@ def test_who_is_in_the_place_or_out_in_time_does_not_stop_in_it() -> None:
     assert early.action == CLEAR
 
 
+def test_nobody_is_sent_before_a_faster_one_in_its_lane() -> None:
+    """a is out after 2.2 s at 10.5 m/s, b comes after 3.0 s at 18 m/s: on a crossing that is early
+    enough; where they merge, b takes 0.5 s more to slow down in comfort."""
+    seen = moment((16.0, 8.0, 0.0), (58.0, 18.0, 0.0))
+    assert seen.pairs.type.tolist() == [CROSS]
+    crossing, (a, _) = evasions(seen, seen.pairs), sides(seen)
+    merging = evasions(seen, replace(seen.pairs, type=np.array([MERGE])))
+    assert not crossing.brakes[0, a]
+    assert merging.brakes[0, a]
+
+
 def test_who_comes_second_brakes_though_it_is_late() -> None:
     """b is in the area before a, who cannot stop any more after a second: it does not hurry."""
     seen = moment((14.0, 10.0, 0.0), (9.0, 9.0, 0.0))
     assert warn(seen, 0, 1, False).action == BRAKE
+
+
+@pytest.mark.parametrize(("away_m", "speed_mps"), [(32.0, 12.0), (20.0, 12.0), (11.0, 14.0)])
+def test_of_two_who_follow_the_one_behind_brakes_however_late(
+    away_m: float, speed_mps: float
+) -> None:
+    """Towards one who all but stands: stopping takes 4 m/s2 after a second, then 16, then there is
+    no room left. The one ahead is not told to brake for the one behind."""
+    seen = row(away_m, speed_mps)
+    front, rear = (seen.scene.ids.index(name) for name in ("front", "rear"))
+    for first, second in ((front, rear), (rear, front)):
+        told = warn(seen, first, second, True)
+        assert (told.ego, told.action) == (rear, BRAKE)
+        assert told.room_m is not None and np.isfinite(told.room_m)
+        assert told.text is not None and told.text.endswith("keep behind the silver car ahead")
+    assert warn(seen, rear, front, False).action == BRAKE
+    alone = warn(seen, front, rear, False)
+    assert (alone.ego, alone.action, alone.room_m) == (front, CLEAR, None)
 
 
 def test_two_who_are_no_pair_are_told_nothing() -> None:

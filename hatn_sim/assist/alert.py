@@ -68,6 +68,7 @@ class _Open:
     onset_s: float
     last_s: float  # when the danger was last enough for the alert to go on
     deviates_id: str  # of a DEVIATION: who
+    action: str | None  # what its ego was told to do
 
     def end_s(self, settings: AssistSettings) -> float:
         return max(self.last_s, self.onset_s + settings.least_s)
@@ -85,6 +86,15 @@ class AlertState:
     def looks(self, time_s: float) -> bool:
         """Whether dangers are looked at then."""
         return time_s - self.looked_s > LOOK_S - ROUNDING_S
+
+    def told(self, time_s: float, settings: AssistSettings) -> frozenset[tuple[str, str]]:
+        """Egos and what they are told to do (`Alert.action`), by alerts that may still go on."""
+        return frozenset(
+            (one.alert.ego_id, one.action)
+            for one in self.open.values()
+            if one.action is not None
+            and time_s <= max(one.last_s + settings.end_after_s, one.end_s(settings)) + ROUNDING_S
+        )
 
 
 def alert(
@@ -138,7 +148,7 @@ def alert(
                 severity=value,
                 reason=_reason(TYPES[kind], value, scene.ids[a]),
             )
-            still[key] = _Open(onset, value, scene.time_s, scene.time_s, scene.ids[a])
+            still[key] = _Open(onset, value, scene.time_s, scene.time_s, scene.ids[a], told.action)
             edges.append(
                 replace(
                     onset,

@@ -16,7 +16,7 @@ import numpy as np
 from hatn_sim.assist.alert import Warned
 from hatn_sim.assist.moment import Moment
 from hatn_sim.assist.outlook import LEAVE_MARGIN_S, NOSE_M, approaches, look_ahead, travel_at
-from hatn_sim.assist.pairs import FOLLOW, Pairs
+from hatn_sim.assist.pairs import FOLLOW, MERGE, Pairs
 from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
@@ -33,7 +33,7 @@ from hatn_sim.assist.risk import (
 )
 from hatn_sim.assist.signs import acceleration_mps2, kept_travel_m
 from hatn_sim.assist.words import names
-from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray, IntArray
+from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
 
 BRAKE, CLEAR = "brake", "clear"
 REACTION_S: Final = 1.0
@@ -44,6 +44,7 @@ EDGE_M: Final = 0.1
 """Who stands this near to a place stays out of it."""
 OUT_BEFORE_S: Final = 0.5
 """Who goes on is to be out so long before the other comes in."""
+_IS_SECOND: Final = np.array([False, True])
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,23 +62,29 @@ def evasions(moment: Moment, pairs: Pairs) -> Evasions:
     way_m = travelled_m(moment.scene, moment.prediction)
     own, its = _times(moment, pairs, way_m)
     follows = (pairs.type == FOLLOW)[:, None]
+    is_follower = follows & _IS_SECOND
     room_m = np.where(follows, _room_behind_m(pairs, way_m), pairs.room_m)
     # Who is nearer than that already stays where he is.
     room_m = room_m - np.clip(room_m - EDGE_M, 0.0, 0.5 * SHORT_M)
     # Who merges behind another has to keep a distance.
-    margin_s = np.where(pairs.type == ConflictType.MERGE, LEADER.time_s, LEAVE_MARGIN_S)[:, None]
+    margin_s = np.where(pairs.type == MERGE, LEADER.time_s, LEAVE_MARGIN_S)[:, None]
     open_s = np.where(follows, HOLDS_S, np.minimum(its.leave_s + margin_s, HOLDS_S))
     gone_m, then_mps = (of[pairs.index, 0] for of in travel_at(way_m, np.array([REACTION_S])))
     left_m, left_s = room_m + NOSE_M - gone_m, open_s - REACTION_S
     needed = required_deceleration_mps2(left_m, then_mps, left_s)
-    needed = np.where(left_m > 0.0, needed, np.inf)
+    needed = np.where((left_m > 0.0) | is_follower, needed, np.inf)
     needed[left_s <= 0.0] = 0.0
     clear_m = np.maximum(pairs.clear_m - gone_m, 0.0)
     fastest_mps = np.sqrt(then_mps**2 + 2.0 * COMFORT_ACCELERATION_MPS2 * clear_m)
     out_s = REACTION_S + (fastest_mps - then_mps) / COMFORT_ACCELERATION_MPS2
-    is_out = ~follows & (out_s + OUT_BEFORE_S <= its.enter_s)
-    # Who comes second has nothing to clear.
+    # Who merges before a faster one has to leave it time to brake in comfort (`pass_margins_s`).
+    other_mps = moment.scene.speed_mps[pairs.index[:, ::-1]]
+    slowing_s = np.maximum(other_mps - fastest_mps, 0.0) ** 2 / (2.0 * COMFORT_BRAKING_MPS2)
+    slowing_s *= (pairs.type == MERGE)[:, None] / np.maximum(other_mps, 1.0)
+    is_out = ~follows & (out_s + OUT_BEFORE_S + slowing_s <= its.enter_s)
+    # Who comes second has nothing to clear, nor has a follower; a leader's braking helps nobody.
     can = (needed <= HARD_BRAKING_MPS2) | ((its.enter_s < own.enter_s) & (pairs.room_m > 0.0))
+    can = np.where(follows, is_follower, can)
     brakes = (needed <= COMFORT_BRAKING_MPS2) | (~is_out & can)
     return Evasions(brakes, needed, room_m, open_s)
 
@@ -123,13 +130,14 @@ def warn(moment: Moment, first: int, second: int, either: bool) -> Warned:
         return Warned(first, second, CLEAR, text=f"Go on, do not stop in the way of {who}")
     open_s = max(float(found.open_s[place]), _all_gone_s(moment, first, second))
     hard = " hard" if found.needed_mps2[place] > COMFORT_BRAKING_MPS2 else ""
+    follows = pairs.type[place[0]] == FOLLOW
     return Warned(
         first,
         second,
         BRAKE,
         room_m=float(found.room_m[place]),
         open_s=min(open_s, HOLDS_S),
-        text=f"Brake{hard}: let {who} go first",
+        text=f"Brake{hard}: " + (f"keep behind {who}" if follows else f"let {who} go first"),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,11 +28,13 @@ def tell_counterfactuals(logged: Run) -> None:
 
 def tell_everyday_braking(logged: Run) -> None:
     """A notice where evasive braking is everyday braking."""
+    from hatn_sim.score.driven import driven_in
+    from hatn_sim.score.events import severe_events, vehicle_hours
     from hatn_sim.score.everyday import everyday_braking
-    from hatn_sim.score.logged import assessed_log
 
-    assessed = assessed_log(logged)
-    found = everyday_braking(assessed.events, assessed.vehicle_hours)
+    driven = driven_in(logged)
+    hours = vehicle_hours(driven, -math.inf, math.inf)
+    found = everyday_braking(severe_events(driven), hours)
     if found is not None:
         print(f"hatn-sim: {found}", file=sys.stderr)
 

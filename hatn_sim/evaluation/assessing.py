@@ -14,9 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from hatn_sim.assist.agree import agreeing
 from hatn_sim.assist.alert import LOOK_S, AlertState, Met, alert, with_touched
 from hatn_sim.assist.baselines import RULES
-from hatn_sim.assist.danger import SIGNS_OF
+from hatn_sim.assist.danger import HATN, SIGNS_OF
 from hatn_sim.assist.evade import warn
 from hatn_sim.assist.moment import Moment, Recent
 from hatn_sim.assist.settings import AssistSettings
@@ -169,15 +170,17 @@ class _Looking:
             return
         self._told, suggestions = suggest(self._told, self._road, scene, prediction, None)
         sampled = index % (LOOK_EVERY_FRAMES * SAMPLE_EVERY_LOOKS) == 0
-        self._advice.add(index, scene.time_s, Advice(prediction, suggestions, ()), sampled)
+        dangers = {name: RULES[name](moment) for name in {*self._dangers, HATN}}
+        self._alerts, alerts = alert(
+            self._alerts, scene, dangers[HATN], settings, None, partial(warn, moment)
+        )
+        suggestions = agreeing(suggestions, self._alerts.told(scene.time_s, settings), scene)
+        told = Advice(prediction, suggestions, alerts)
+        self._advice.add(index, scene.time_s, told, sampled)
         for name, recorder in self._dangers.items():
-            self._met[name], found = with_touched(self._met[name], scene, RULES[name](moment))
+            self._met[name], found = with_touched(self._met[name], scene, dangers[name])
             recorder.add(scene.time_s, scene.ids, found)
         if self._what_if is not None:
-            found = RULES["hatn"](moment)
-            warns = partial(warn, moment)
-            self._alerts, alerts = alert(self._alerts, scene, found, settings, None, warns)
-            told = Advice(prediction, suggestions, alerts)
             # Advice is judged in the window only; the whole of a branch lies in the run.
             asks = scene.time_s >= self._window_s[0]
             self._lines += self._what_if.see(index, frame, told, asks)

@@ -8,7 +8,8 @@ The definitions are METHOD 7's. Where it is silent, this holds:
 - Braking that is under way when the alert begins, and is an event whatever the ego does, was not
   warned of: it counts for neither branch.
 - What begins later than a reaction time after the driver has his vehicle back is of his own
-  doing, and counts for neither branch: drivers who break rules at random do so again.
+  doing, and counts for neither branch: drivers who break rules at random do so again. That hides
+  late harm, and late events that the alert was of: what the whole of the branches says is told too.
 - T1 is worse than T2. Obeying is harmful if any pair is worse off by it, else useful if any is
   better off, else unneeded if there was no event, else unavailing.
 - Costs of slots are told over the whole branch. Whose time is lost is told in m: how much farther
@@ -83,6 +84,7 @@ class AlertVerdict:
     others_lost_m: float  # by obeying, all others together; negative: they got farther
     others_braking_mps2: float  # by obeying, the hardest of those affected
     others_braked_mps2: float  # of the same vehicles without
+    to_the_end: str = UNNEEDED  # the verdict if all events of both branches count
 
 
 def driven_in_branch(branch: Branch) -> Driven:
@@ -142,12 +144,10 @@ def judge_alert(
     Events count that start no later than `until_s` after the alert.
     """
     end_s = ignored.time_s[0] + until_s + ROUNDING_S
-    events = [
-        tuple(one for one in concerning(events_in_branch(branch), ego_id) if one.start_s <= end_s)
-        for branch in (ignored, obeyed)
-    ]
-    under_way = {_what(one) for one in events[0] if one.start_s <= ignored.time_s[0]}
-    events = [tuple(one for one in of if _what(one) not in under_way) for of in events]
+    found = [concerning(events_in_branch(branch), ego_id) for branch in (ignored, obeyed)]
+    under_way = {_what(one) for one in found[0] if one.start_s <= ignored.time_s[0]}
+    found = [tuple(one for one in of if _what(one) not in under_way) for of in found]
+    events = [tuple(one for one in of if one.start_s <= end_s) for of in found]
     others = _affected((ignored, obeyed)) - {ego_id}
     lost_m = [
         _way_m(ignored, name) - _way_m(obeyed, name)
@@ -160,6 +160,7 @@ def judge_alert(
         others_lost_m=float(sum(lost_m)),
         others_braking_mps2=_hardest_braking_mps2(obeyed, others),
         others_braked_mps2=_hardest_braking_mps2(ignored, others),
+        to_the_end=verdict(*found),
     )
 
 

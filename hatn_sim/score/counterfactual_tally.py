@@ -37,6 +37,7 @@ class Tally:
     regrets: Regrets
     regrets_where_differs: Regrets
     lost: int  # alerts and suggestions of which a branch was lost
+    to_the_end: Mapping[str, int]  # verdicts if all events of the branches count; {}: not known
 
     @property
     def alerts(self) -> int:
@@ -54,6 +55,7 @@ def tally(lines: Iterable[Mapping[str, Any]]) -> Tally:
     lines = list(lines)
     whole = [line for line in lines if not line["lost"]]
     alerts = [line["verdict"] for line in whole if line["about"] == "alert"]
+    to_the_end = [line["to_the_end"] for line in whole if "to_the_end" in line]
     suggestions = [line for line in whole if line["about"] == "suggestion"]
     differs = [line for line in suggestions if driver_differs(line)]
     return Tally(
@@ -61,6 +63,7 @@ def tally(lines: Iterable[Mapping[str, Any]]) -> Tally:
         regrets=_regrets(suggestions),
         regrets_where_differs=_regrets(differs),
         lost=len(lines) - len(whole),
+        to_the_end={verdict: to_the_end.count(verdict) for verdict in VERDICTS if to_the_end},
     )
 
 
@@ -79,8 +82,9 @@ def _regrets(lines: Sequence[Mapping[str, Any]]) -> Regrets:
 
 def tally_words(found: Tally, settings: CounterfactualSettings) -> list[str]:
     """Lines for people, with how costs were weighed."""
-    counts = ", ".join(f"{count} {verdict}" for verdict, count in found.verdicts.items())
-    words = [f"counterfactuals: {found.alerts} alerts judged: {counts}"]
+    words = [f"counterfactuals: {found.alerts} alerts judged: {_counts(found.verdicts)}"]
+    if found.to_the_end:
+        words.append(f"counting what came later as well: {_counts(found.to_the_end)}")
     for regrets, which in (
         (found.regrets, "suggestions judged"),
         (found.regrets_where_differs, "of these where the driver did otherwise (yield or pass)"),
@@ -90,6 +94,10 @@ def tally_words(found: Tally, settings: CounterfactualSettings) -> list[str]:
         words.append(f"{found.lost} not judged: a branch was lost")
     weights = ", ".join(f"{key} {value:g}" for key, value in asdict(settings).items())
     return [*words, f"settings of counterfactuals: {weights}"]
+
+
+def _counts(verdicts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
 
 
 def _regret_words(regrets: Regrets) -> str:
