@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from test_envs import same
 
 import hatn_sim.envs  # noqa: F401 - registers
@@ -204,6 +203,20 @@ def test_resets_in_the_same_step(many: Any) -> None:
     assert told["ego"][:, -1].tolist() == [1.0, 1.0]
 
 
+def test_ctrl_c_leaves_no_result_behind(many: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    vector = many(2, **SHORT)
+    first, _ = vector.reset(seed=3)
+    with monkeypatch.context() as patched:
+        patched.setattr(SyncVectorEnv, "step", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            vector.step(np.zeros((2, 1), np.float32))
+    again, _ = vector.reset(seed=3)
+    assert all(np.array_equal(first[key], again[key]) for key in first)
+
+
 def make_short() -> gymnasium.Env[Any, Any]:
     return gymnasium.make("hatn_sim/Scene-v0", **SHORT)
 
@@ -355,6 +368,8 @@ def test_ctrl_c_while_a_worker_is_forked(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @LINUX
 def test_no_room_for_one_more() -> None:
+    import resource  # not on every platform
+
     with SumoSimulator(load_scenario(str(STREET))) as one:
         one.reset(1)
         files = len(list(Path("/proc/self/fd").iterdir())) - 1

@@ -52,7 +52,11 @@ class SceneVectorEnv(SyncVectorEnv):
         )
         for env, result in zip(ahead, results, strict=True):
             env.result = result
-        return super().step(actions)
+        try:
+            return super().step(actions)
+        finally:
+            for env in ahead:  # ctrl-C may have come between
+                env.result = None
 
     def action_masks(self) -> np.ndarray:
         """The slots [num_envs, M] that may be chosen now."""
