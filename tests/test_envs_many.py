@@ -22,7 +22,13 @@ import hatn_sim.envs  # noqa: F401 - registers
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Command, Frame
 from hatn_sim.envs.driving import warmed_up
-from hatn_sim.envs.errors import MaskedActionError, NeedsResetError
+from hatn_sim.envs.errors import (
+    ActionShapeError,
+    ActionTypeError,
+    MaskedActionError,
+    NeedsResetError,
+    OptionError,
+)
 from hatn_sim.envs.seen import _same
 from hatn_sim.envs.vector_env import SceneVectorEnv
 from hatn_sim.errors import SimulatorError
@@ -191,8 +197,18 @@ def test_a_refused_action_leaves_all_as_they_were(many: Any) -> None:
     assert masks.shape == (2, 8) and masks[:, 0].all()
     with pytest.raises(MaskedActionError):
         vector.step(np.array([0, 7]))
+    with pytest.raises(ActionShapeError, match="each of 2 environments, found 3"):
+        vector.step(np.array([0, 0, 0]))
+    for wrong in (None, 0):
+        with pytest.raises(ActionTypeError, match="expected one of each environment"):
+            vector.step(wrong)
     assert vector.get_attr("_episode") == before
     vector.step(np.array([0, 0]))
+
+
+def test_at_least_one() -> None:
+    with pytest.raises(OptionError, match="num_envs: expected 1 or more, found 0"):
+        gymnasium.make_vec("hatn_sim/Scene-v0", num_envs=0, **SHORT)
 
 
 def test_resets_in_the_same_step(many: Any) -> None:
