@@ -12,6 +12,7 @@ from hatn_sim.conformance.agents import check_agent
 from hatn_sim.conformance.points import Point
 from hatn_sim.conformance.predictors import check_predictor
 from hatn_sim.conformance.scenes import Footage, film
+from hatn_sim.errors import InputError
 from hatn_sim.plugins import load_agent
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.predictors.find import load_predictor
@@ -96,6 +97,17 @@ class Alone:
     def init(self, road): return None
     def step(self, state, ego_id, scene, advice): return state
 '''
+
+
+def test_a_scene_that_ends_too_soon_is_not_waited_for(tmp_path: Path) -> None:
+    nets = Path(__file__).parent / "nets"
+    text = (nets / "street.sumocfg").read_text(encoding="utf-8").replace('"600"', '"20"')
+    for named in ("street.net.xml", "street.rou.xml"):
+        text = text.replace(named, str(nets / named))
+    short = tmp_path / "short.sumocfg"
+    short.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"found its end at 20\.0 s; name another scene"):
+        film(str(short))
 
 
 @pytest.fixture(scope="module")

@@ -15,17 +15,24 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from test_envs import same
 
 import hatn_sim.envs  # noqa: F401 - registers
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Command, Frame
 from hatn_sim.envs.driving import warmed_up
-from hatn_sim.envs.errors import MaskedActionError, NeedsResetError
+from hatn_sim.envs.errors import (
+    ActionShapeError,
+    ActionTypeError,
+    MaskedActionError,
+    NeedsResetError,
+    OptionError,
+)
 from hatn_sim.envs.seen import _same
 from hatn_sim.envs.vector_env import SceneVectorEnv
 from hatn_sim.errors import SimulatorError
+from hatn_sim.simulators import sumo_process
 from hatn_sim.simulators.sumo import SumoSimulator
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
@@ -113,6 +120,18 @@ def test_a_worker_is_started_where_the_program_is_now(monkeypatch: pytest.Monkey
             assert _same(other.reset(1), first)
 
 
+def test_a_worker_is_started_where_the_folder_is_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SumoSimulator(load_scenario(str(STREET))) as simulator:
+        first = simulator.reset(1)
+        here = tmp_path / "here"
+        here.mkdir()
+        monkeypatch.chdir(here)
+        here.rmdir()
+        assert _same(simulator.reset(1), first)
+
+
 # -- side by side ---------------------------------------------------------------------------------
 
 
@@ -178,8 +197,18 @@ def test_a_refused_action_leaves_all_as_they_were(many: Any) -> None:
     assert masks.shape == (2, 8) and masks[:, 0].all()
     with pytest.raises(MaskedActionError):
         vector.step(np.array([0, 7]))
+    with pytest.raises(ActionShapeError, match="each of 2 environments, found 3"):
+        vector.step(np.array([0, 0, 0]))
+    for wrong in (None, 0):
+        with pytest.raises(ActionTypeError, match="expected one of each environment"):
+            vector.step(wrong)
     assert vector.get_attr("_episode") == before
     vector.step(np.array([0, 0]))
+
+
+def test_at_least_one() -> None:
+    with pytest.raises(OptionError, match="num_envs: expected 1 or more, found 0"):
+        gymnasium.make_vec("hatn_sim/Scene-v0", num_envs=0, **SHORT)
 
 
 def test_resets_in_the_same_step(many: Any) -> None:
@@ -188,6 +217,20 @@ def test_resets_in_the_same_step(many: Any) -> None:
     told, _, _, cuts, info = vector.step(np.zeros((2, 1), np.float32))
     assert cuts.all() and "final_obs" in info
     assert told["ego"][:, -1].tolist() == [1.0, 1.0]
+
+
+def test_ctrl_c_leaves_no_result_behind(many: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    vector = many(2, **SHORT)
+    first, _ = vector.reset(seed=3)
+    with monkeypatch.context() as patched:
+        patched.setattr(SyncVectorEnv, "step", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            vector.step(np.zeros((2, 1), np.float32))
+    again, _ = vector.reset(seed=3)
+    assert all(np.array_equal(first[key], again[key]) for key in first)
 
 
 def make_short() -> gymnasium.Env[Any, Any]:
@@ -279,6 +322,83 @@ def test_what_workers_are_forked_from_may_be_killed() -> None:
     until(lambda: not Path(f"/proc/{worker}").exists())
     env.close()
     assert own() == before
+
+
+@LINUX
+def test_simulators_that_nobody_closes_do_not_pile_up() -> None:
+    before = own()[0]
+    scenario = load_scenario(str(STREET))
+    for _ in range(5):
+        simulator = SumoSimulator(scenario)
+        simulator.reset(1)
+        left = own()[0] - before - {simulator.worker_pid}
+        del simulator
+        gc.collect()
+        until(lambda left=left: len(alive(left)) <= 1)  # but for what all were forked from
+    with SumoSimulator(scenario) as simulator:
+        simulator.reset(1)
+        # The newest may still be leaving, or wait to be asked for.
+        assert len(own()[0] - before) <= 3
+    while nursery := sumo_process._Nursery._known.get(sumo_process.WORKER):
+        nursery.leave()  # who closes nothing does not say so either
+
+
+def alive(pids: set[int]) -> set[int]:
+    """Those that have not ended."""
+    return {pid for pid in pids if "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()}
+
+
+class Interrupted:
+    """A socket at which ctrl-C is pressed when an answer is waited for."""
+
+    def __init__(self, socket: Any) -> None:
+        self._socket = socket
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._socket, name)
+
+    def recv(self, *_: object) -> bytes:
+        raise KeyboardInterrupt
+
+
+@LINUX
+def test_ctrl_c_while_a_worker_is_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = own()
+    scenario = load_scenario(str(STREET))
+    with SumoSimulator(scenario) as one, SumoSimulator(scenario) as other:
+        one.reset(1)
+        (nursery,) = sumo_process._Nursery._known.values()
+        with monkeypatch.context() as patched:
+            patched.setattr(nursery, "_control", Interrupted(nursery._control))
+            with pytest.raises(KeyboardInterrupt):
+                other.reset(1)
+        other.reset(1)
+        # The answer that nobody heard is taken for no other: this is the process that runs.
+        worker = other.worker_pid
+        assert worker is not None and alive({worker}) == {worker}
+        assert _same(one.step(), other.step())
+        other.close()
+        assert worker not in children(os.getpid())
+    until(lambda: own() == before)
+
+
+@LINUX
+def test_no_room_for_one_more() -> None:
+    import resource  # not on every platform
+
+    with SumoSimulator(load_scenario(str(STREET))) as one:
+        one.reset(1)
+        files = len(list(Path("/proc/self/fd").iterdir())) - 1
+        limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+        with SumoSimulator(one.scenario) as other:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (files, limits[1]))
+            try:
+                with pytest.raises(SimulatorError, match="could not be started: Too many open"):
+                    other.reset(1)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+            assert len(list(Path("/proc/self/fd").iterdir())) - 1 == files
+            other.reset(1)
 
 
 def test_a_killed_worker_among_several(many: Any) -> None:

@@ -22,6 +22,7 @@ from hatn_sim.envs.ego import begin_together
 from hatn_sim.envs.errors import (
     ActionError,
     ActionShapeError,
+    ActionTypeError,
     EpisodeOverError,
     MaskedActionError,
     MissingPackageError,
@@ -264,6 +265,8 @@ def test_what_is_refused(make: Any) -> None:
     with pytest.raises(NeedsResetError):
         env.step({"ego": 0, "ego2": 0})
     _, infos = env.reset(seed=1)
+    with pytest.raises(ActionTypeError, match="expected one by each agent's name, found 0"):
+        env.step(0)  # type: ignore[arg-type]
     with pytest.raises(ActionError, match="none found of 'ego2'"):
         env.step({"ego": 0})
     with pytest.raises(ActionError, match="no agent 'ego3'; did you mean"):

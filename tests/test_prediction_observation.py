@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import highway_env.road.road
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import Autoreset, TimeLimit
 
 from hatn_sim.config import HighwaySource, Scenario
 from hatn_sim.datatypes import DT_S
@@ -216,3 +218,34 @@ def test_what_is_refused(kept: list[Any]) -> None:
     wrapped.reset(seed=1)
     with pytest.raises(InputError, match="expected a multiple of"):
         wrapped.reset(options={"config": {"policy_frequency": 2}})
+
+
+def test_a_wrapper_inside_may_begin_anew(kept: list[Any]) -> None:
+    short = gymnasium.make("intersection-v2", config={"duration": 2})
+    env = PredictionObservation(Autoreset(short), CHEAP)
+    kept.append(env)
+    env.reset(seed=1)
+    told = [env.step(1) for _ in range(5)]
+    times_s = [info["seen"].scene.time_s for *_, info in told]
+    assert times_s == pytest.approx([1.0, 2.0, 0.0, 1.0, 2.0])
+    assert [bool(one[2] or one[3]) for one in told] == [False, True, False, False, True]
+
+
+def test_predictions_are_added_once(kept: list[Any]) -> None:
+    env = PredictionObservation(gymnasium.make("intersection-v2"), CHEAP)
+    kept.append(env)
+    with pytest.raises(OptionError, match="has predictions already"):
+        PredictionObservation(TimeLimit(env, 5), CHEAP)
+
+
+def test_a_watched_road_can_be_pickled(kept: list[Any]) -> None:
+    env = PredictionObservation(gymnasium.make("intersection-v2"), CHEAP)
+    kept.append(env)
+    env.reset(seed=1)
+    road = env.unwrapped.road
+    copied = pickle.loads(pickle.dumps(road))
+    assert type(copied) is type(road) and isinstance(copied, highway_env.road.road.Road)
+    road.step(0.1)
+    copied.step(0.1)
+    assert [v.speed for v in copied.vehicles] == [v.speed for v in road.vehicles]
+    assert len(copied.seen) == len(road.seen) == 1

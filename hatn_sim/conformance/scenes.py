@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.config import load_scenario
-from hatn_sim.datatypes import Frame, IntArray, Scene
+from hatn_sim.datatypes import DT_S, Frame, IntArray, Scene
+from hatn_sim.errors import InputError
 from hatn_sim.loop import warm_up
 from hatn_sim.road import Road
 from hatn_sim.traffic import open_traffic
@@ -43,14 +44,19 @@ class Footage:
 
 
 def film(name: str) -> Footage:
-    """`FRAMES` of a scene that ships."""
+    """`FRAMES` of a scene. Raises InputError where no two vehicles are ever in it at once."""
     with closing(open_traffic(load_scenario(name))) as simulator:
         frame = warm_up(simulator, simulator.reset(SEED), WARM_UP_FRAMES)
-        while len(frame.scene.ids) < 2:
+        while len(frame.scene.ids) < 2 and not frame.done:
             frame = simulator.step()
         frames = [frame]
-        while len(frames) < FRAMES:
+        while len(frames) < FRAMES and not frames[-1].done:
             frames.append(simulator.step())
+        if len(frames) < FRAMES:
+            raise InputError(
+                f"{name}: expected {FRAMES * DT_S:g} s with two vehicles at once to begin with, "
+                f"found its end at {frames[-1].scene.time_s:.1f} s; name another scene"
+            )
         return Footage(simulator.name, simulator.road, tuple(frames))
 
 

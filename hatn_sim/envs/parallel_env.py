@@ -14,6 +14,7 @@ from hatn_sim.envs.ego import begin_together
 from hatn_sim.envs.episode import TERMINAL, Episode
 from hatn_sim.envs.errors import (
     ActionError,
+    ActionTypeError,
     EpisodeOverError,
     MissingPackageError,
     NeedsResetError,
@@ -237,11 +238,15 @@ class SceneParallelEnv(ParallelEnv[str, Observation, Any]):
             raise NeedsResetError(f"{what}: there is no episode; expected a call of reset before")
         return self._episodes
 
-    def _check(self, actions: Mapping[str, Any]) -> None:
+    def _check(self, actions: object) -> None:
+        if not isinstance(actions, Mapping):
+            raise ActionTypeError(
+                f"actions: expected one by each agent's name, found {actions!r}; give a dict"
+            )
         for name in actions:
             if name not in self.agents:
                 raise ActionError(
-                    f"actions: there is no agent {name!r}{nearest(name, self.agents)}"
+                    f"actions: there is no agent {name!r}{nearest(str(name), self.agents)}"
                 )
         if missing := [name for name in self.agents if name not in actions]:
             raise ActionError(

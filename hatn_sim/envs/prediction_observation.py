@@ -53,8 +53,10 @@ class PredictionObservation(
         """`predictor` is a name, `module:Class`, or a predictor.
 
         Raises OptionError where there is no such predictor, where the environment is none of
-        highway-env with roads, or where its steps are no multiples of 0.1 s.
+        highway-env with roads or has predictions already, or where its steps are no multiples of
+        0.1 s.
         """
+        _check_bare(env)
         RecordConstructorArgs.__init__(self, predictor=predictor)
         super().__init__(env)
         try:
@@ -81,7 +83,9 @@ class PredictionObservation(
 
         Raises InputError where `options` set rates with which steps are no multiples of 0.1 s.
         """
-        own, info = self.env.reset(seed=seed, options=options)
+        return self._begin(*self.env.reset(seed=seed, options=options))
+
+    def _begin(self, own: Any, info: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         frame = self._watched.begin()
         road = self._watched.road
         road.release(RELEASE_FRAMES, KEPT_LINES)
@@ -93,6 +97,9 @@ class PredictionObservation(
         if self._mind is None or self._newest is None:
             raise NeedsResetError("step: there is no episode; expected a call of reset before")
         own, reward, terminated, truncated, info = self.env.step(action)
+        if self._watched.is_begun_anew:
+            observation, info = self._begin(own, info)
+            return observation, reward, terminated, truncated, info
         frames = [self._newest, *self._watched.frames()]
         mind = self._mind
         for frame in frames[1:-1]:
@@ -112,6 +119,16 @@ class PredictionObservation(
         ego = Ego(now.scene.ids.index(EGO), acceleration_mps2, self._watched.time_left)
         observation = {OWN_KEY: own, **observe_slots(now.scene, ego, thought.sight)}
         return observation, {**info, "seen": Seen(EGO, now.scene, thought.advice)}
+
+
+def _check_bare(env: gymnasium.Env[Any, Any]) -> None:
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, PredictionObservation):
+            raise OptionError(
+                "PredictionObservation: the environment has predictions already, expected one "
+                "without; wrap it once"
+            )
+        env = env.env
 
 
 PredictionObservation.__doc__ = (PredictionObservation.__doc__ or "").replace(

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import iterate
 
+from hatn_sim.envs.errors import ActionShapeError, ActionTypeError, OptionError
 from hatn_sim.envs.mind import predictor_of
 from hatn_sim.envs.options import EnvOptions
 from hatn_sim.envs.scene_env import SceneEnv
@@ -34,25 +35,44 @@ class SceneVectorEnv(SyncVectorEnv):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         **options: Any,
     ) -> None:
+        if num_envs < 1:
+            raise OptionError(f"num_envs: expected 1 or more, found {num_envs}; correct it")
         predictor = predictor_of(options.get("predictor", EnvOptions.predictor))
         make = partial(SceneEnv, **options | {"predictor": predictor})
         super().__init__([lambda: _Ahead(make())] * num_envs, autoreset_mode=autoreset_mode)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """As of `SyncVectorEnv`. Raises as `SceneEnv.step` does."""
+        each = self._each(actions)
         begins = self._autoreset_envs & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
         ahead = cast(list[_Ahead], self.envs)
         results = taken(
             [
                 env.scene_env.opening() if is_over else env.scene_env.turn(action)
-                for env, is_over, action in zip(
-                    ahead, begins.tolist(), iterate(self.action_space, actions), strict=True
-                )
+                for env, is_over, action in zip(ahead, begins.tolist(), each, strict=True)
             ]
         )
         for env, result in zip(ahead, results, strict=True):
             env.result = result
-        return super().step(actions)
+        try:
+            return super().step(actions)
+        finally:
+            for env in ahead:  # ctrl-C may have come between
+                env.result = None
+
+    def _each(self, actions: Any) -> list[Any]:
+        """The action of every environment. Raises ActionError where there is not one of each."""
+        try:
+            each = list(iterate(self.action_space, actions))
+        except (TypeError, ValueError, gymnasium.error.CustomSpaceError):
+            raise ActionTypeError(
+                f"actions: expected one of each environment, found {actions!r}; give an array"
+            ) from None
+        if len(each) != self.num_envs:
+            raise ActionShapeError(
+                f"actions: expected one of each of {self.num_envs} environments, found {len(each)}"
+            )
+        return each
 
     def action_masks(self) -> np.ndarray:
         """The slots [num_envs, M] that may be chosen now."""

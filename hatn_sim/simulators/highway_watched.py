@@ -53,6 +53,7 @@ class Watched:
             )
         _check_rates(environment.config)
         self._environment: Any = environment
+        self._watching: Any = None
         self._geometry: bytes = b""
         self._road: Road | None = None
         self._names: dict[Any, str] = {}
@@ -72,13 +73,18 @@ class Watched:
         limit_s = self._environment.config.get("duration")
         return 1.0 - self._environment.time / limit_s if limit_s else 1.0
 
+    @property
+    def is_begun_anew(self) -> bool:
+        """Whether the environment was reset since `begin`, as by a wrapper at the end."""
+        return self._environment.road is not self._watching
+
     def begin(self) -> Frame:
         """The first frame after a `reset` of the environment.
 
         Raises InputError where the steps of the environment do not end at ours.
         """
         _check_rates(self._environment.config)
-        road = self._environment.road
+        road = self._watching = self._environment.road
         _watch(road)
         geometry = _geometry(road.network)
         if self._road is None or geometry != self._geometry:
@@ -138,22 +144,36 @@ def _watch(road: Any) -> None:
     highway-env can record trajectories itself, but then it draws them into the user's pictures,
     and steps take up to three times as long.
     """
-    if not hasattr(road, "seen"):
+    if not isinstance(road, _Noting):
         road.__class__ = _watched(type(road))
     road.seen, road.own_s = [], DT_S
 
 
+class _Noting:
+    """What a road remembers of its moments until they are taken."""
+
+    kind: Any  # of road that it is besides
+    vehicles: Sequence[Any]
+    seen: list[Moment]
+    own_s: float
+
+    def step(self, dt: float) -> None:
+        self.kind.step(self, dt)
+        self.own_s = dt
+        self.seen.append(_moment(self.vehicles))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _empty, (self.kind,), self.__dict__
+
+
 @cache
 def _watched(kind: Any) -> Any:
-    class WatchedRoad(kind):
-        """A road of highway-env that remembers its moments until they are taken."""
+    return type(f"Watched{kind.__name__}", (_Noting, kind), {"kind": kind})
 
-        def step(self, dt: float) -> None:
-            super().step(dt)
-            self.own_s = dt
-            self.seen.append(_moment(self.vehicles))
 
-    return WatchedRoad
+def _empty(kind: Any) -> Any:
+    """To be filled by whoever copies or unpickles a road."""
+    return object.__new__(_watched(kind))
 
 
 def _moment(vehicles: Sequence[Any]) -> Moment:

@@ -44,7 +44,7 @@ class RawFrame:
 class Surroundings:
     """The first message to a worker: as if its program had been started now, and here."""
 
-    folder: str
+    folder: str  # "": it is no more, and the worker stays where it is
     variables: dict[str, str]
 
 

@@ -31,6 +31,8 @@ def main() -> None:
     """Forks workers and tells of their end, until nobody is there to want it."""
     # Ctrl-C reaches the whole process group; whoever runs us decides when to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Where the program was started with this ignored, nobody's end could be asked for.
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     program: Callable[[], None] = importlib.import_module(sys.argv[1]).main
     control = socket.socket(fileno=0)
     while True:

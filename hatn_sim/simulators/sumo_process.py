@@ -11,8 +11,9 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, Any, Final, Protocol
 
@@ -41,21 +42,20 @@ class SumoWorker:
     def __init__(self, workers: Workers) -> None:
         """Raises WorkerDiedError where no process can be started."""
         self._owner = os.getpid()
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - close() closes it
-        asked, ask = os.pipe()
-        answers, answer = os.pipe()
-        self._requests: IO[bytes] = os.fdopen(ask, "wb")
-        self._answers: IO[bytes] = os.fdopen(answers, "rb")
         try:
-            self._process = workers.start((asked, answer, self._words.fileno()))
-        except BaseException:
-            self._close_files()
-            raise
-        finally:
-            os.close(asked)
-            os.close(answer)
+            with ExitStack() as opened:
+                self._words: IO[bytes] = opened.enter_context(tempfile.TemporaryFile())
+                asked, self._requests = map(opened.enter_context, _pipe())
+                self._answers, answer = map(opened.enter_context, _pipe())
+                files = asked.fileno(), answer.fileno(), self._words.fileno()
+                self._process = workers.start(files)
+                asked.close()
+                answer.close()
+                opened.pop_all()  # the others stay open
+        except OSError as error:  # no files left, or no processes
+            raise WorkerDiedError(f"its process could not be started: {error.strerror}") from None
         with suppress(OSError):  # it is gone: the first question will tell
-            pickle.dump(Surroundings(str(Path.cwd()), dict(os.environ)), self._requests, protocol=5)
+            pickle.dump(Surroundings(_folder(), dict(os.environ)), self._requests, protocol=5)
 
     @property
     def pid(self) -> int:
@@ -181,6 +181,8 @@ class _Nursery:
         self._words = tempfile.TemporaryFile()  # noqa: SIM115 - leave() closes it
         self._control, theirs = socket.socketpair()
         self._talking = threading.Lock()
+        self.dropped: Final[deque[int]] = deque()
+        """Workers whose simulators were never closed: whoever is not asked for never goes."""
         with theirs:
             files = theirs.fileno(), subprocess.DEVNULL, self._words.fileno()
             self._process = _spawned((NURSERY, module), files)
@@ -195,6 +197,9 @@ class _Nursery:
         return os.getpid() == self._owner
 
     def fork(self, files: Sequence[int]) -> _Forked:
+        for pid in [self.dropped.popleft() for _ in range(len(self.dropped))]:
+            if self.exit_code(pid) is None:
+                self.dropped.append(pid)
         there, pid = self._asked(FORK, 0, files)
         if not there:
             raise WorkerDiedError("its process could not be started: there is no room for one more")
@@ -217,12 +222,15 @@ class _Nursery:
             if self._known.get(self._module) is self:
                 del self._known[self._module]
         if self._is_own:
-            # Whoever was forked off this process may hold the socket, too.
-            with suppress(OSError):
-                self._control.shutdown(socket.SHUT_RDWR)
-            self._process.wait()
+            self._end()
         self._control.close()
         self._words.close()
+
+    def _end(self) -> None:
+        # Whoever was forked off this process may hold the socket, too.
+        with suppress(OSError):
+            self._control.shutdown(socket.SHUT_RDWR)
+        self._process.wait()
 
     def _asked(self, kind: bytes, number: int, files: Sequence[int] = ()) -> tuple[bool, int]:
         if not self._is_own:
@@ -233,6 +241,10 @@ class _Nursery:
                 answer = self._control.recv(ANSWER.size, socket.MSG_WAITALL)
         except OSError:
             answer = b""
+        except BaseException:
+            # Ctrl-C between question and answer: nobody is to take that answer for another's.
+            self._end()
+            raise
         if len(answer) < ANSWER.size:
             with suppress(subprocess.TimeoutExpired):
                 raise WorkerDiedError(_ending(self._process.wait(1.0), _read(self._words)))
@@ -247,6 +259,10 @@ class _Forked:
         self.pid = pid
         self._nursery = nursery
         self._code: int | None = None
+
+    def __del__(self) -> None:
+        if self._code is None:
+            self._nursery.dropped.append(self.pid)
 
     def wait(self, timeout: float | None = None) -> int:
         """Its exit code; 0 where nobody knows. Raises subprocess.TimeoutExpired."""
@@ -283,6 +299,20 @@ def _spawned(words: Sequence[str], files: Sequence[int]) -> subprocess.Popen[byt
         # Only what has no other threads can be forked.
         env=os.environ | {"PYTHONPATH": modules, "OPENBLAS_NUM_THREADS": "1"},
     )
+
+
+def _pipe() -> tuple[IO[bytes], IO[bytes]]:
+    """Where to read, and where to write what is read there."""
+    read, write = os.pipe()
+    return os.fdopen(read, "rb"), os.fdopen(write, "wb")
+
+
+def _folder() -> str:
+    """Where this program is; "" where that folder is no more."""
+    try:
+        return str(Path.cwd())
+    except FileNotFoundError:
+        return ""
 
 
 def _ending(code: int, printed: str) -> str:

@@ -365,7 +365,8 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
         replies.flush()
 
     surroundings: Surroundings = pickle.load(requests)
-    os.chdir(surroundings.folder)
+    if surroundings.folder:
+        os.chdir(surroundings.folder)
     os.environ.clear()
     os.environ.update(surroundings.variables)
     options = pickle.load(requests)
