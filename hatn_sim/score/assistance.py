@@ -341,11 +341,13 @@ def counterfactual_scores(
         value = float(intervals.ratio(sums.sum(axis=0)))
         return Score(measure, name, scene, risk, "none", value, unit, n, low, high)
 
-    def verdict(wanted: str, on_events: bool = False) -> Callable[[Line], float | None]:
+    def verdict(
+        wanted: str, on_events: bool = False, key: str = "verdict"
+    ) -> Callable[[Line], float | None]:
         def of(line: Line) -> float | None:
             if line["lost"] or (on_events and not line["ignored"]):
                 return None
-            return float(line["verdict"] == wanted)
+            return float(line[key] == wanted)
 
         return of
 
@@ -360,6 +362,7 @@ def counterfactual_scores(
     return [
         mean("useful_share", "share", ALERT, verdict("useful", on_events=True)),
         mean("harmful_share", "share", ALERT, verdict("harmful")),
+        mean("harmful_to_the_end_share", "share", ALERT, verdict("harmful", key="to_the_end")),
         mean("unneeded_share", "share", ALERT, verdict("unneeded")),
         mean("regret", "1", SUGGESTION, cost("regret")),
         mean("always_yield_regret", "1", SUGGESTION, cost("always_yield_regret")),
