@@ -1,8 +1,7 @@
 """Drives as the suggestions say; where they are silent, by the intelligent driver model.
 
-`follow_advice` leaves these moments to the simulator's driver, who knows more than anybody sees.
-Whether the advice is safe is up to the advice; a leader and a line to stop at are kept all the
-same.
+While it drives, SUMO's own checks of gaps and right of way are off (speed mode 32): whether the
+advice is safe is up to the advice. A leader and a line to stop at are kept all the same.
 """
 
 from __future__ import annotations

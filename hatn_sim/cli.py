@@ -12,7 +12,6 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from types import ModuleType
 from typing import Any, Final, NoReturn
 
 import hatn_sim
@@ -29,6 +28,7 @@ VERBS: Final = {
     "train": "train HATN on simulated or recorded traffic and write its weights",
     "train-policy": "train a policy that drives, PPO or DQN, and write its weights",
     "scenarios": "list the scenes that ship, with their measured figures",
+    "check-predictor": "check a predictor or an agent of your own against the protocols",
     "doctor": "say what is installed, what is missing and how to get it",
     "bench": "time every stage of a tick side by side, and the memory it takes",
 }
@@ -79,7 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _command(verb: str) -> ModuleType:
+def _command(verb: str) -> Any:
+    """The module of a verb."""
     return import_module(f"hatn_sim.commands.{verb.replace('-', '_')}")
 
 

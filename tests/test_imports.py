@@ -44,16 +44,13 @@ LAYERS = (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
         *("perception", "speed_profile", "tracks"),
     ),
-    ("assist", "hatn", "predictors"),
-    ("evaluation", "learn", "log", "loop", "recordings", "report", "score", "traffic"),
+    ("assist", "hatn", "planning", "predictors"),
     (
-        "bench",
-        "bench_branch",
-        "bench_runtime",
-        "bench_scaling",
-        "cli",
-        "commands",
-        "envs",
+        *("conformance", "evaluation", "learn", "log", "loop", "recordings", "report", "score"),
+        "traffic",
+    ),
+    (
+        *("bench", "bench_branch", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
         "policies",
     ),
 )

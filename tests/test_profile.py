@@ -165,7 +165,7 @@ def test_beyond_the_horizon_vehicles_go_on_or_slow_down_to_a_stand() -> None:
 
 @pytest.mark.parametrize(("speed", "room"), [(10.0, 30.0), (8.0, 24.0), (5.0, 14.0), (2.0, 3.0)])
 def test_whoever_follows_new_profiles_every_tick_stops_short(speed: float, room: float) -> None:
-    # As `agents/follow_advice.py` does: for the speed half a second ahead, a tenth at a time.
+    # As `agents/heed.py` does: for the speed half a second ahead, a tenth at a time.
     way, acceleration = 0.0, 0.0
     for _ in range(150):
         area_m, now = np.array([[room - way]]), np.array([acceleration])

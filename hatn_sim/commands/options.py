@@ -138,8 +138,8 @@ def add_driving(parser: argparse.ArgumentParser) -> None:
         "--agent",
         metavar="NAME",
         default=SIMULATORS_OWN,
-        help="sumo_driver (default: the simulator's own driver), constant_speed, follow_advice, or "
-        "your own as module:Class",
+        help="sumo_driver (default: the simulator's own driver), constant_speed, idm, heed, "
+        "hatn_planner, mpc, or your own as module:Class",
     )
     parser.add_argument(
         "--net",

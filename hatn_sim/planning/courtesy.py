@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import FloatArray
+from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
 from hatn_sim.planning.occupancy import TIMES_S, Occupancy
 from hatn_sim.planning.situation import Situation
 
@@ -30,6 +30,7 @@ def heedless(now: Situation, travelled_m: FloatArray, others: Occupancy) -> Floa
     """
     out = np.ones((len(travelled_m), *others.probability.shape))
     met = now.meetings
+    gives_way: BoolArray = met.gives_way
     row_of = {int(vehicle): row for row, vehicle in enumerate(others.vehicle)}
     known = np.array([int(vehicle) in row_of for vehicle in met.other], dtype=np.bool_)
     if not known.any():
@@ -40,10 +41,11 @@ def heedless(now: Situation, travelled_m: FloatArray, others: Occupancy) -> Floa
     step_m = np.linalg.norm(np.diff(path, axis=2), axis=3)  # [Q, K, G]
     speed = step_m / TIMES_S[0]
     needed_m = np.cumsum(step_m, axis=2) + speed * REACTION_S + speed**2 / (2.0 * GENTLE_MPS2)
-    can_stop = needed_m <= met.other_room_m[known, None, None]
+    can_stop: BoolArray = np.asarray(needed_m <= met.other_room_m[known, None, None])
     inside = travelled_m[:, None, :] > met.room_m[known, None]  # [R, Q, G]
-    enters, ever = inside.argmax(axis=2), inside.any(axis=2)
+    enters: IntArray = np.argmax(inside, axis=2)
+    ever: BoolArray = np.any(inside, axis=2)
     lets = can_stop[np.arange(len(row)), :, enters] & ever[..., None]  # [R, Q, K]
-    share = np.where(met.gives_way[known], LAWLESS, RUDE)[:, None]
+    share = np.where(gives_way[known], LAWLESS, RUDE)[:, None]
     out[:, row] = np.where(lets, share, 1.0)
     return out

@@ -28,10 +28,8 @@ START_MPS2: Final = 1.5
 
 def safe_acceleration(now: Situation, halt_m: float = np.inf) -> float:
     """What the IDM does of a moment, stopping `halt_m` from here at the latest, in m/s2."""
-    stop_m = now.stop_m - STOP_BEFORE_M
-    if now.speed_mps**2 > 2.0 * TOO_LATE_MPS2 * max(stop_m, 0.01):
-        stop_m = np.inf
-    stop_m = min(stop_m, halt_m)
+    too_late = now.speed_mps**2 > 2.0 * TOO_LATE_MPS2 * max(now.stop_m, 0.01)
+    stop_m = min(np.inf if too_late else now.stop_m - STOP_BEFORE_M, halt_m)
     gap_m = np.array([now.gap_m, stop_m + STANDSTILL_M])
     closing_mps = now.speed_mps - np.array([now.leader_mps, 0.0])
     desired_mps = min(DESIRED_SPEED_MPS, float(now.allowed_mps[0]))
@@ -59,8 +57,7 @@ def halt_before_m(now: Situation) -> float:
     blocked = moving & ~met.gives_way
     blocked &= (comes_s < clear_s + GAP_S) & (leaves_s + BEHIND_S > enters_s)
     ahead_m = met.room_m - SHORT_M
-    can_stop = now.speed_mps**2 <= 2.0 * TOO_LATE_MPS2 * np.maximum(ahead_m, 0.01)
-    can_stop |= (now.speed_mps < STANDING_MPS) & (met.room_m > 0.0)
+    can_stop = now.speed_mps**2 <= 2.0 * TOO_LATE_MPS2 * np.maximum(met.room_m, 0.01)
     waits = (blocked | inside) & (met.room_m > 0.0) & can_stop
     return float(np.where(waits, np.maximum(ahead_m, 0.0), np.inf).min(initial=np.inf))
 

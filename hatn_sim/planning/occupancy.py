@@ -18,13 +18,16 @@ from hatn_sim.perception import CORRIDOR_M, CORRIDOR_RAD
 from hatn_sim.planning.situation import Situation
 
 STEP_FRAMES: Final = 2
-TIMES_S: Final[FloatArray] = STEP_FRAMES * DT_S * np.arange(1, 26)
+TIMES_S: Final[FloatArray] = STEP_FRAMES * DT_S * np.arange(1.0, 26.0)
 """5 s; beyond the predicted 3 s, others drive on at their last speed along their line."""
 PREDICTED: Final = HORIZON_FRAMES // STEP_FRAMES
 NEAR_M: Final = 70.0
 """Others farther away are not met within 5 s."""
 OFF_LINE_M: Final = 2.0
 """Whoever is predicted farther than this from its line drives on straight."""
+STRAY_M: Final = 0.3
+"""Whose line does not meet the ego's keeps to its lane, this standard deviation apart: what is not
+known of the others is mostly where they turn."""
 STILL_M: Final = 0.05
 LEAST_MODE: Final = 0.01
 
@@ -58,7 +61,11 @@ def predicted_occupancy(
         probability=probability / np.maximum(probability.sum(axis=1, keepdims=True), 1e-9),
         boxes=Boxes(path, _headings(now, others, path), size),
         along_m=along_m[others],
-        across_m=across_m[others],
+        across_m=np.where(
+            np.isin(others, now.meetings.other)[:, None],
+            across_m[others],
+            np.minimum(across_m[others], STRAY_M),
+        ),
     )
 
 

@@ -16,6 +16,7 @@ from hatn_sim.assist.profile import (
     KNOT_AT_S,
     ROAD_REACH_M,
     ROAD_STEP_M,
+    SHORT_M,
     SLOWING_MPS2,
     Approach,
     drive,
@@ -26,6 +27,8 @@ from hatn_sim.planning.situation import Situation
 from hatn_sim.speed_profile import PROFILE_STEP_M
 
 WAITS_S: Final = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, FAR_S])
+PACES: Final = np.array([0.8, 0.6, 0.4, 0.2])
+STOPS_MPS2: Final = np.array([1.0, 2.0, 3.5])
 PLACES: Final = 4
 """So many places to wait at are looked at, the nearest."""
 APART_M: Final = 1.5
@@ -51,13 +54,19 @@ class Ways:
 def sample_ways(now: Situation, prediction: Prediction, acceleration_mps2: float) -> Ways:
     """Profiles within comfort that keep to the road, the leader and the lines to stop at.
 
-    One waits for nobody; the others each wait before one of the next areas for one of `WAITS_S`,
-    approaching it so that they can stop there; the last stops at once.
+    The first waits for nobody. Others drive at a share of its speed, or stop evenly, or wait before
+    one of the next areas for one of `WAITS_S`, approaching it so that they can stop there. The last
+    stops at once.
     """
-    places = _places(now)
-    at_m = np.concatenate(([np.inf], np.repeat(places, len(WAITS_S)), [0.0]))
-    open_s = np.concatenate(([0.0], np.tile(WAITS_S, len(places)), [FAR_S]))
+    places, paces, evenly = _places(now), len(PACES), len(STOPS_MPS2)
+    stops_m = SHORT_M + now.speed_mps**2 / (2.0 * STOPS_MPS2)
+    at_m = np.concatenate(([np.inf] * (1 + paces), np.repeat(places, len(WAITS_S)), stops_m, [0.0]))
+    open_s = np.concatenate(
+        (np.zeros(1 + paces), np.tile(WAITS_S, len(places)), np.full(evenly + 1, FAR_S))
+    )
     count = len(at_m)
+    pace = np.ones(count)
+    pace[1 : 1 + paces] = PACES
     leader_m, leader_mps = _leader(now, prediction)
     allowed = np.interp(_AT_M, PROFILE_STEP_M * np.arange(len(now.allowed_mps)), now.allowed_mps)
     driven = drive(
@@ -66,7 +75,7 @@ def sample_ways(now: Situation, prediction: Prediction, acceleration_mps2: float
             start_m=np.zeros(count),
             speed_mps=np.full(count, now.speed_mps),
             acceleration_mps2=np.full(count, acceleration_mps2),
-            allowed_mps=np.repeat(allowed[None], count, axis=0),
+            allowed_mps=pace[:, None] * allowed,
             leader_m=np.repeat(leader_m[None], count, axis=0),
             leader_mps=np.repeat(leader_mps[None], count, axis=0),
             stop_m=np.full(count, now.stop_m),

@@ -1,0 +1,197 @@
+"""Whether somebody's own class is found out where it does not keep the protocols."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hatn_sim import cli
+from hatn_sim.conformance.agents import check_agent
+from hatn_sim.conformance.points import Point
+from hatn_sim.conformance.predictors import check_predictor
+from hatn_sim.conformance.scenes import Footage, film
+from hatn_sim.plugins import load_agent
+from hatn_sim.predictors.constant_velocity import ConstantVelocity
+from hatn_sim.predictors.find import load_predictor
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+WRONG = '''
+import numpy as np
+from dataclasses import replace
+from hatn_sim.datatypes import Command
+from hatn_sim.predictors.constant_velocity import ConstantVelocity
+
+class Sums(ConstantVelocity):
+    def predict(self, state):
+        said = super().predict(state)
+        return replace(said, mode_probability=0.5 * said.mode_probability)
+
+class Single(ConstantVelocity):
+    def predict(self, state):
+        said = super().predict(state)
+        return replace(said, xy_m=said.xy_m.astype(np.float32))
+
+class Dice(ConstantVelocity):
+    def predict(self, state):
+        said = super().predict(state)
+        return replace(said, xy_m=said.xy_m + np.random.normal())
+
+class Writes(ConstantVelocity):
+    def observe(self, state, scene, routes=None):
+        scene.speed_mps[:] = 1.0
+        return scene
+
+class Hoards(ConstantVelocity):
+    """Predicts of the newest scene, whatever memory it is handed."""
+    def observe(self, state, scene, routes=None):
+        self.newest = scene
+        return scene
+    def predict(self, state):
+        return super().predict(self.newest)
+
+class Rows(ConstantVelocity):
+    def predict(self, state):
+        said = super().predict(state)
+        return replace(said, xy_m=said.xy_m + np.arange(len(state.ids))[:, None, None, None])
+
+class Never(ConstantVelocity):
+    def predict(self, state):
+        state.speed_mps.max()
+        return super().predict(state)
+
+class Deaf(ConstantVelocity):
+    def observe(self, state, scene, routes=None):
+        assert routes is None, "no routes, please"
+        return scene
+
+class Looks(ConstantVelocity):
+    """Peeks: whatever it was shown in an earlier run tells it what comes."""
+    known = {}
+    def observe(self, state, scene, routes=None):
+        before, self.before = getattr(self, "before", None), scene
+        if before is not None and before.time_s < scene.time_s:
+            self.known[before.time_s] = scene
+        return scene
+    def predict(self, state):
+        return replace(super().predict(state), xy_m=super().predict(state).xy_m
+            + float(self.known.get(state.time_s, state).speed_mps.sum() - state.speed_mps.sum()))
+
+class Hasty:
+    def init(self, road): return None
+    def step(self, state, ego_id, scene, advice): return state, Command(ego_id, 100.0)
+
+class Boundless(Hasty):
+    def step(self, state, ego_id, scene, advice): return state, Command(ego_id, float("inf"))
+
+class Moody:
+    def __init__(self): self.asked = 0
+    def init(self, road): return None
+    def step(self, state, ego_id, scene, advice):
+        self.asked += 1
+        return state, Command(ego_id, float(self.asked % 7)) if ego_id in scene.ids else None
+
+class Alone:
+    def init(self, road): return None
+    def step(self, state, ego_id, scene, advice): return state
+'''
+
+
+@pytest.fixture(scope="module")
+def footage() -> Footage:
+    return film("tjunction")
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "wrong_ones.py").write_text(WRONG)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+def failed(points: list[Point]) -> dict[str, str]:
+    return {point.name: point.said for point in points if not point.ok}
+
+
+@pytest.mark.usefixtures("mine")
+@pytest.mark.parametrize(
+    ("name", "point", "said"),
+    [
+        ("Sums", "probabilities sum to 1", "found a sum of 0.5; normalise it"),
+        ("Single", "shapes, dtypes and finite numbers", "expected xy_m of float64; found float32"),
+        ("Dice", "the same again", "found another xy_m at frame 0; seed what is random"),
+        ("Writes", "input is left as it is", "found another speed_mps; copy before writing"),
+        ("Hoards", "memory is handed out", "observe must return a new state"),
+        ("Rows", "the order of vehicles is without effect", "look vehicles up by id"),
+        ("Never", "an empty scene", "found ValueError: zero-size array"),
+        ("Deaf", "routes are taken where they are given", "AssertionError: no routes, please"),
+        ("Looks", "no peeking at what comes", "use nothing but the scenes observed in"),
+    ],
+)
+def test_a_predictor_that_does_not_keep_a_point(
+    footage: Footage, name: str, point: str, said: str
+) -> None:
+    points = list(
+        check_predictor(lambda: load_predictor(f"wrong_ones:{name}"), footage, ConstantVelocity())
+    )
+    assert said in failed(points)[point]
+    assert "\n" not in failed(points)[point]
+
+
+@pytest.mark.usefixtures("mine")
+@pytest.mark.parametrize(
+    ("name", "point", "said"),
+    [
+        ("Boundless", "commands, advised by constant_velocity", "its acceleration is not finite"),
+        ("Hasty", "its vehicle is not there", "expected no command while the vehicle is not there"),
+        ("Moody", "the same again", "keep memory in the state"),
+        ("Moody", "memory is handed out", "asked later,"),
+        ("Alone", "commands, advised by constant_velocity", "found NoneType; return both"),
+    ],
+)
+def test_an_agent_that_does_not_keep_a_point(
+    footage: Footage, name: str, point: str, said: str
+) -> None:
+    advisers = (ConstantVelocity(),)
+    points = list(check_agent(lambda: load_agent(f"wrong_ones:{name}"), footage, advisers))
+    assert said in failed(points)[point]
+
+
+@pytest.mark.parametrize(
+    "name", ["sumo_driver", "constant_speed", "idm", "heed", "hatn_planner", "mpc"]
+)
+def test_agents_that_ship_keep_every_point(footage: Footage, name: str) -> None:
+    points = list(check_agent(lambda: load_agent(name), footage, (ConstantVelocity(),)))
+    assert failed(points) == {} and len(points) == 9
+
+
+def test_predictors_that_ship_keep_every_point(footage: Footage) -> None:
+    for name in ("fsm_t", "hatn"):
+        points = list(
+            check_predictor(lambda name=name: load_predictor(name), footage, ConstantVelocity())
+        )
+        assert failed(points) == {}, name
+
+
+def test_the_example_passes_and_the_command_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(EXAMPLES)
+    monkeypatch.syspath_prepend(EXAMPLES)
+    words = ["check-predictor", "my_predictor:Slowing", "--scenes", "tjunction"]
+    assert cli.main(words) == 0
+    printed = capsys.readouterr().out
+    assert printed.endswith("my_predictor:Slowing: all points kept\n")
+    assert "ms a step of" in printed and "FAILED" not in printed
+    body = (EXAMPLES / "my_predictor.py").read_text().partition("class Slowing:")[2]
+    assert len([line for line in body.splitlines() if line.strip()]) <= 24
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "wrong_ones.py").write_text(WRONG)
+    words[1] = "wrong_ones:Sums"
+    assert cli.main([*words, "--json"]) == 2
+    said = json.loads(capsys.readouterr().out)
+    assert said["failed"] == sum(not point["ok"] for point in said["points"]) == 1
+    assert cli.main(["check-predictor", "hatm"]) == 2
+    assert "did you mean 'hatn'" in capsys.readouterr().err
