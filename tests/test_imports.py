@@ -52,13 +52,7 @@ LAYERS = (
         "traffic",
     ),
     (
-        "bench",
-        "bench_branch",
-        "bench_runtime",
-        "bench_scaling",
-        "cli",
-        "commands",
-        "envs",
+        *("bench", "bench_branch", "bench_runtime", "bench_scaling", "cli", "commands", "envs"),
         "policies",
     ),
 )

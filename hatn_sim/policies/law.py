@@ -119,7 +119,9 @@ def _committed(observation: Observation) -> list[tuple[float, float]]:
     merges = slots[:, _MERGES] > 0.0
     half_m, line_m = 0.5 * float(observation["ego"][_LENGTH]), _line_m(observation)
     nose_m = ego_m - half_m - np.where(merges, 0.0, NEAR_SIDE_M)
-    stops_m = other_mps**2 / (2.0 * BRAKING_MPS2) + other_mps * REACTION_S
+    # At the line it leaves more room, so as not to stop again with its nose in the other's way.
+    notice_s = REACTION_S if np.isinf(line_m) else REACTION_S + HEADWAY_S
+    stops_m = other_mps**2 / (2.0 * BRAKING_MPS2) + other_mps * notice_s
     bound = (other_mps > MOVING_MPS) & (stops_m > other_m - half_m)
     almost_m = 2.0 * half_m if np.isfinite(line_m) else half_m
     bound |= other_m < np.minimum(almost_m, ego_m)

@@ -70,8 +70,9 @@ def assistance_table(scores: Sequence[Score]) -> Group:
     if any(score.measure == "regret" for score in scores):
         note += (
             "; useful: of alerts with an event to come, those that obeying removes; harmful, "
-            "unneeded: of all judged; to the end: harmful, counting all events of the branches, not "
-            "only those until a second after the driver drives again; regret: cost over that of the best slot"
+            "unneeded: of all judged; to the end: harmful, by all events of the branches, not "
+            "only those until a second after the driver drives again; regret: cost over that of "
+            "the best slot"
         )
     if any(score.predictor == "oracle" for score in scores):
         note += "; rules beside hatn: at no more false alarms than it"
