@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _command(verb: str) -> ModuleType:
+def _command(verb: str) -> Any:
     """The module of a verb."""
     return import_module(f"hatn_sim.commands.{verb.replace('-', '_')}")
 

@@ -256,7 +256,8 @@ def test_suggestions_by_hand() -> None:
 
 def test_verdicts_and_regret_by_hand() -> None:
     def alert_line(verdict: str, ignored: int) -> dict[str, object]:
-        return {"about": "alert", "lost": False, "verdict": verdict, "ignored": [{}] * ignored}
+        said = {"about": "alert", "lost": False, "verdict": verdict, "to_the_end": "harmful"}
+        return {**said, "ignored": [{}] * ignored}
 
     def slot_line(driver: str | None, own: float, yielding: float, his: float) -> dict[str, object]:
         said = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
@@ -276,6 +277,7 @@ def test_verdicts_and_regret_by_hand() -> None:
     expected = {
         "useful_share": 0.5,
         "harmful_share": 0.25,
+        "harmful_to_the_end_share": 1.0,
         "unneeded_share": 0.25,
         "regret": 1.0,
         "always_yield_regret": 2.0,

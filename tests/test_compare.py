@@ -30,9 +30,11 @@ class Agent:
         return None, None
 """
 ITSELF = "os.kill(os.getpid(), signal.SIGKILL)"
+CHILDREN = "open(f'/proc/{%s}/task/{%s}/children').read().split()"
 ITS_SUMO = (
-    "[os.kill(int(p), signal.SIGKILL) for p in "
-    "open(f'/proc/self/task/{os.getpid()}/children').read().split()]"
+    "[os.kill(int(worker), signal.SIGKILL) "
+    f"for nursery in {CHILDREN % ('os.getpid()', 'os.getpid()')} "
+    f"for worker in {CHILDREN % ('nursery', 'nursery')}]"
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -191,6 +192,7 @@ def test_the_example_passes_and_the_command_says_so(
 ) -> None:
     monkeypatch.chdir(EXAMPLES)
     monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.delitem(sys.modules, "my_predictor", raising=False)  # somebody else's
     words = ["check-predictor", "my_predictor:Slowing", "--scenes", "tjunction"]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
