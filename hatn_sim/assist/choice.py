@@ -8,8 +8,8 @@ Letters as in `datatypes`, and R egos that have a choice, P of them that may hav
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -28,6 +28,8 @@ from hatn_sim.assist.profile import (
     Profiles,
     drive,
 )
+from hatn_sim.assist.rings import weakest_of_rings
+from hatn_sim.assist.told import ACTIONS, Before
 from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Scene, SemanticGraphs
 
 SPEAK_MARGIN: Final = 0.4
@@ -39,6 +41,12 @@ SILENT_MARGIN: Final = -0.4
 """... and is doubted where another leads the one advised by this much."""
 DOUBT_S: Final = 0.5
 """Advice that is doubted for so long changes; at once where it would be unsafe."""
+SETTLE_S: Final = 0.3
+"""Advice begins when it has been the best for so long; at once in place of what is unsafe."""
+LEAST_S: Final = 1.0
+"""Advice says the same for so long (action, whom it names, feasible), but where that is unsafe."""
+HARD_MPS2: Final = 4.5
+"""Braking that is evasive (METHOD section 7): it is told at once."""
 PASS_MARGIN_S: Final = 0.3
 """A pass is advised where the ego is out so long before anybody may plausibly come in ..."""
 KEEP_MARGIN_S: Final = 0.0
@@ -61,17 +69,25 @@ ROUNDING_S: Final = 1e-6
 HORIZON_S: Final = float(KNOT_AT_S[-1])
 
 
-@dataclass(frozen=True)
-class Told:
-    """What an ego was told last."""
+class Why(IntEnum):
+    """Why an ego is told what it is told, or nothing."""
 
-    slot_id: str  # the rear vehicle of the slot: the ego itself for a yield
-    other_id: str  # whom to pass before, or to let go first
-    action: str
-    feasible: bool
-    doubted_s: float | None = None  # since when another slot would have been advised
-    said: frozenset[tuple[str, str]] = frozenset()  # (action, other vehicle) of all that was said
-    time_s: float = 0.0
+    LIKELY = 0  # told: the most probable slot
+    LIKELY_UNSAFE = 1  # told, as the most probable slot is not safe, or asks for more than comfort
+    HELD = 2  # told before, and kept, though another slot is more probable now
+    FAR = 3  # silent, as the following: the conflict is far
+    UNSURE = 4  # no slot leads the next by enough
+    SETTLING = 5  # the slot has not been the best for long enough
+    UNSAFE_PASS = 6  # the likely pass is not safe
+    TOO_LATE = 7  # a yield would ask for more than comfort
+    GONE_IN_TIME = 8  # the ego is likely to be out before the other comes
+    IN_THE_WAY = 9  # the ego is in the other's way already
+    OTHER_WAITS = 10  # the other is likelier to wait for the ego
+    STANDS = 11  # both stand, and nobody can tell who will go
+    SAID_OTHERWISE = 12  # the opposite has been said in this encounter
+    MUTUAL = 13  # the other is told to yield, to the ego or to somebody who is to yield to it
+    BRIEF = 14  # it would be over before a driver could react
+    ALERTED = 15  # an alert tells the opposite
 
 
 def first_of_others(focus_mask: BoolArray, chances: FloatArray) -> IntArray:
@@ -113,9 +129,10 @@ class Likely:
 
     chances: _Chances
     first: IntArray  # [R] the node of whoever is most probably the first of the others
-    told: IntArray  # [R] the slot told before, -1: none, or it is gone
-    still_there: BoolArray  # [R] whom it was about
+    named: IntArray  # [R] the node of whoever has to be let go on a yield
+    told: IntArray  # [R] the slot told before; -1: none, or it is done
     slot: IntArray  # [R]
+    near: BoolArray  # [R] the conflict
     speaks: BoolArray  # [R] clearly enough to say so
     begins: BoolArray  # [R] it is a yield not told before
     other_yields: FloatArray  # [R] how probably whoever is first lets the ego go
@@ -126,32 +143,29 @@ def likely_slots(
     graphs: SemanticGraphs,
     slot_probability: FloatArray,
     row: IntArray,
-    before: Sequence[Told | None],
+    before: Before,
 ) -> Likely:
     """The slot told before, until another is clearly more probable."""
     focus = graphs.focus_mask[row]
     chances = _chances(focus, slot_probability[row])
-    index = {name: v for v, name in enumerate(scene.ids)}
-    rear = [
-        -2 if told is None or told.action == "abstain" else index.get(told.slot_id, -2)
-        for told in before
-    ]
-    same = focus & (graphs.rear[row] == np.array(rear)[:, None])
-    about = [-2 if told is None else index.get(told.other_id, -2) for told in before]
-    still_there = (focus & (graphs.rear[row] == np.array(about)[:, None])).any(axis=1)
+    # Who waits, and had better wait for the next ones, too, is told one thing.
+    nothing = np.zeros(len(row), dtype=np.int64)
+    on_yield = (before.told < 0) & (before.action == 0) & (chances.margin(nothing) >= SPEAK_MARGIN)
+    told = np.where(on_yield, 0, before.told)
     first = first_of_others(focus, slot_probability[row])
-    told = np.where(same.any(axis=1), same.argmax(axis=1), -1)
     stands = (told >= 0) & (chances.margin(np.maximum(told, 0)) > SILENT_MARGIN)
     slot = np.where(stands, told, chances.best)
     speed = scene.speed_mps[graphs.ego[row]]
     near = graphs.ego_to_conflict_m[row, 0] <= np.maximum(NEAR_S * speed, NEAR_M)
     speaks = stands | ((told >= 0) | near) & (chances.margin(slot) >= SPEAK_MARGIN)
+    keeps_name = (before.about >= 0) & (scene.time_s - before.since_s < LEAST_S - ROUNDING_S)
     return Likely(
         chances,
         first,
+        np.where(keeps_name, before.about, first),
         told,
-        still_there,
         slot,
+        near,
         speaks,
         (told != 0) & (slot == 0) & speaks,
         _yields_to(graphs, slot_probability, row, first),
@@ -184,7 +198,8 @@ class Options:
     driven: Profiles  # [R + P] all yields, then the passes
     of_pass: IntArray  # [R] the row in `driven`, of the yield where no pass is driven
     open_s: FloatArray  # [R] when the way is open on a yield
-    let_go: IntArray  # [R] how many go first then
+    let_go: BoolArray  # [R, M] who goes first then
+    done_s: FloatArray  # [R] when the ego is past all conflicts on a pass; 0 where none is driven
     stays_out: BoolArray  # [R] on a yield, if need be by braking hard
     can_wait: BoolArray  # [R] a pass can still be given up for a while, in comfort
     braking_mps2: FloatArray  # [R] of the yield; evenly, after reacting, where it would be new
@@ -206,7 +221,7 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     # Whoever it is passed before, the ego drives as fast as it may.
     which = np.concatenate((np.arange(count), passing))
     slot = np.concatenate((np.zeros(count, dtype=np.int64), likely.first[passing]))
-    approach, open_s = approaches(outlook, row[which], slot, likely.first[which], stopped[which])
+    approach, open_s = approaches(outlook, row[which], slot, likely.named[which], stopped[which])
     driven = drive(approach)
     yields, passes = driven.of(np.arange(count)), driven.of(np.arange(count, len(which)))
     area_m, opens = (of[:count, : group.shape[1]] for of in (approach.area_m, approach.open_s))
@@ -215,6 +230,9 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     enters_s = yields.arrival_s(np.where(ahead, np.maximum(area_m, 0.0) + EDGE_M, np.inf))
     margin, likely_margin = np.full((2, count), -np.inf)
     margin[passing], likely_margin[passing] = pass_margins_s(outlook, row[passing], passes)
+    done_s = np.zeros(count)
+    way_m = np.where(group[passing], graphs.ego_to_conflict_m[row[passing]], 0.0).max(axis=1)
+    done_s[passing] = passes.arrival_s(way_m[:, None])[:, 0]
     left_m = room_m[passing] - passes.travelled_m[:, WAIT_KNOT]
     can_wait = ~asks
     can_wait[passing] = _stops(passes.speed_mps[:, WAIT_KNOT], left_m)
@@ -228,7 +246,8 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
         driven=driven,
         of_pass=of_pass,
         open_s=open_s[:count],
-        let_go=ahead.sum(axis=1),
+        let_go=ahead,
+        done_s=done_s,
         stays_out=(enters_s >= np.minimum(opens, HORIZON_S) - 0.1).all(axis=1) & ~has_begun,
         can_wait=can_wait,
         braking_mps2=np.maximum(yields.braking_mps2, late_mps2),
@@ -264,18 +283,19 @@ class Chosen:
     """What each ego [R] is advised."""
 
     slot: IntArray
-    other: IntArray  # the vehicle to pass before, or the first to let go
+    node: IntArray  # of the vehicle to pass before, or of one to let go ...
+    other: IntArray  # ... that vehicle
     speaks: BoolArray
     feasible: BoolArray
-    doubted_s: tuple[float | None, ...]  # since when another slot would have been advised
+    why: IntArray  # of Why
+    since_s: FloatArray  # when it began to say the same
+    doubted_s: FloatArray  # since when other advice would have been given, nan: not
+    wanted: IntArray  # what waits to be the best for long enough, into ACTIONS; -1: nothing does
+    wanted_s: FloatArray  # since when
 
 
 def choose(
-    outlook: Outlook,
-    row: IntArray,
-    likely: Likely,
-    options: Options,
-    before: Sequence[Told | None],
+    outlook: Outlook, row: IntArray, likely: Likely, options: Options, before: Before
 ) -> Chosen:
     """The likely slot, if it is safe; once told, a slot stays for as long as it can.
 
@@ -283,76 +303,126 @@ def choose(
     comfort: of danger, alerts warn. It is taken back by silence, not by its opposite: but for a
     pass that is not safe any more, while a yield still is within comfort.
     """
-    was_feasible = np.array([told is None or told.feasible for told in before])
-    now_s = outlook.scene.time_s
-    since = [None if told is None else told.doubted_s for told in before]
-    since_s = np.array([now_s if one is None else one for one in since])
-    told, wants_pass = likely.told, likely.slot > 0
+    rows, now_s, told = np.arange(len(row)), outlook.scene.time_s, likely.told
+    graphs, own_yield = outlook.graphs, likely.chances.of[:, 0]
+    wants_pass, free = likely.slot > 0, options.likely_margin_s > 0.0
     keeps = wants_pass & (likely.slot == told)
     safe = options.margin_s >= np.where(told > 0, KEEP_MARGIN_S, PASS_MARGIN_S)
-    sure = likely.chances.of[np.arange(len(row)), likely.slot] >= SURE
+    sure = likely.chances.of[rows, likely.slot] >= SURE
     safe |= keeps & (options.can_wait | (sure & (options.likely_margin_s >= SURE_KEEP_S)))
-    band = np.where(was_feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
+    band = np.where((told < 0) | before.feasible, 1.0 + FEASIBLE_BAND, 1.0 - FEASIBLE_BAND)
     gentle = options.stays_out & (options.braking_mps2 <= COMFORT_BRAKING_MPS2 * band)
     # Braking hard is worse than a pass that is only unlikely to be in somebody's way.
-    may_pass = safe | (~gentle & (options.likely_margin_s > 0.0)) | ~options.stays_out
+    may_pass = safe | (~gentle & free) | ~options.stays_out
     passes = np.where(wants_pass, may_pass, ~options.stays_out)
     slot = np.where(passes, np.where(wants_pass, likely.slot, likely.first), 0)
     slot = np.where(likely.speaks, slot, likely.slot)
-    holds = (
-        (told >= 0) & likely.still_there & (slot != told) & (now_s - since_s < DOUBT_S - ROUNDING_S)
-    )
-    holds &= np.where(told > 0, may_pass, options.stays_out)
+    named = _named(outlook, row, likely, options, before)
+    silent = _silences(outlook, row, likely, options, before, slot, named, safe, gentle)
+    # What was told stays while it may, until other advice has been better for a while.
+    is_doubted = (told >= 0) & ((slot != told) | np.any(list(silent.values()), axis=0))
+    since_s = np.where(np.isnan(before.doubted_s), now_s, before.doubted_s)
+    young = now_s - before.since_s < LEAST_S - ROUNDING_S
+    holds = is_doubted & np.where(told > 0, may_pass, options.stays_out)
+    holds &= young | (now_s - since_s < DOUBT_S - ROUNDING_S)
     slot = np.where(holds, told, slot)
-    doubted = tuple(
-        one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
+    silent = {why: where & ~holds for why, where in silent.items()}
+    goes = slot > 0
+    goes_on = (told >= 0) & (goes == (told > 0))
+    node = np.where(goes, slot, named)
+    # A driver needs a while to do what he is told, and it should not be over by then.
+    lasts_s = np.where(goes, options.done_s, options.open_s)
+    silent[Why.BRIEF] = ~(goes_on & (node == before.about)) & (lasts_s < REACTION_S)
+    wants = ~goes_on & (before.action != goes) & ~np.any(list(silent.values()), axis=0)
+    wanted_s = np.where(before.wanted == goes, np.minimum(before.wanted_s, now_s), now_s)
+    urgent = ((told > 0) & ~may_pass) | (goes & ~options.stays_out)
+    silent[Why.SETTLING] = wants & ~urgent & (now_s - wanted_s < SETTLE_S - ROUNDING_S)
+    speaks = ~np.any(list(silent.values()), axis=0)
+    other = graphs.rear[row, node]
+    silent[Why.MUTUAL] = weakest_of_rings(
+        speaks & ~goes, graphs.ego[row], other, own_yield + 2.0 * goes_on
     )
-    goes, begins = slot > 0, slot != told
-    waits = begins & goes & ~safe & options.stays_out
-    waits |= begins & ~goes & wants_pass & ~(keeps & gentle)
-    # A yield does not begin where it asks for more than comfort, or the ego is likely to be gone in
-    # time and might do otherwise, ...
-    own_yield = likely.chances.of[:, 0]
-    free = options.likely_margin_s > 0.0
-    waits |= begins & ~goes & (~gentle | (free & (own_yield < SURE)))
-    # ... nor where it is in the other's way already.
-    waits |= begins & ~goes & in_the_way(outlook, row)[np.arange(len(row)), likely.first]
-    # Nobody is told to yield to one who is likelier to wait for him.
-    waits |= ~goes & ~holds & wants_pass & free & (likely.other_yields > own_yield)
-    # Of two who wait for each other, nobody can tell who will go.
+    speaks &= ~silent[Why.MUTUAL]
+    # How it is said stays, too.
+    feasible = np.where(goes, safe, gentle)
+    alarming = ~feasible & np.where(goes, ~free, options.braking_mps2 > HARD_MPS2)
+    says_on = speaks & goes_on & (node == before.about)
+    feasible = np.where(says_on & young & ~alarming, before.feasible, feasible)
+    is_best, unsafe = slot == likely.chances.best, np.where(goes, ~gentle, ~may_pass)
+    why = np.where(is_best, Why.LIKELY, np.where(unsafe, Why.LIKELY_UNSAFE, Why.HELD))
+    return Chosen(
+        slot=slot,
+        node=node,
+        other=other,
+        speaks=speaks,
+        feasible=feasible,
+        why=np.select(list(silent.values()), list(silent), why),
+        since_s=np.where(says_on & (feasible == before.feasible), before.since_s, now_s),
+        doubted_s=np.where(holds, since_s, np.nan),
+        wanted=np.where(silent[Why.SETTLING], goes, -1),
+        wanted_s=wanted_s,
+    )
+
+
+def _named(
+    outlook: Outlook, row: IntArray, likely: Likely, options: Options, before: Before
+) -> IntArray:
+    """The node [R] that a yield names: the same as before, while it is among those to let go.
+
+    Else the likeliest to be first, of those that are not gone in no time, if there are any.
+    """
+    there = options.let_go & (outlook.leave_s[row] >= LEAST_S)
+    chance = np.where(there, likely.chances.of, -1.0)
+    named = np.where(there.any(axis=1), chance.argmax(axis=1), likely.named)
+    stays = (likely.told == 0) & (before.about >= 0)
+    stays &= options.let_go[np.arange(len(stays)), before.about]
+    return np.where(stays, before.about, named)
+
+
+def _silences(
+    outlook: Outlook,
+    row: IntArray,
+    likely: Likely,
+    options: Options,
+    before: Before,
+    slot: IntArray,
+    named: IntArray,
+    safe: BoolArray,
+    gentle: BoolArray,
+) -> dict[Why, BoolArray]:
+    """What keeps the assistant from advising egos to take slots [R]; the first cause counts."""
     graphs, speed = outlook.graphs, outlook.scene.speed_mps
+    own_yield, free = likely.chances.of[:, 0], options.likely_margin_s > 0.0
+    goes, changes, wants_pass = slot > 0, slot != likely.told, likely.slot > 0
     fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
-    waits |= (fastest < STANDING_MPS) & ~goes & (wants_pass | (own_yield < SURE))
-    other = graphs.rear[row, np.where(goes, slot, likely.first)]
-    names = [outlook.scene.ids[v] for v in other.tolist()]
-    waits |= _contradicts(before, goes, names) & (goes | safe)
-    speaks = (likely.speaks | holds) & ~waits
-    speaks &= ~_less_likely_of_two(speaks & ~goes, graphs.ego[row], other, own_yield)
-    return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
+    other = graphs.rear[row, np.where(goes, slot, named)]
+    yields, begins_to_yield = ~goes, changes & ~goes
+    return {
+        Why.FAR: ~likely.speaks & ~likely.near & (likely.told < 0),
+        Why.UNSURE: ~likely.speaks,
+        Why.UNSAFE_PASS: (changes & goes & ~safe & options.stays_out)
+        | (begins_to_yield & wants_pass & ~((likely.slot == likely.told) & gentle)),
+        # A yield does not begin where it asks for more than comfort, ...
+        Why.TOO_LATE: begins_to_yield & ~gentle,
+        # ... or the ego is likely to be gone in time and might do otherwise, ...
+        Why.GONE_IN_TIME: begins_to_yield & free & (own_yield < SURE),
+        # ... nor where it is in the other's way already.
+        Why.IN_THE_WAY: begins_to_yield & in_the_way(outlook, row)[np.arange(len(row)), named],
+        # Nobody is told to yield to one who is likelier to wait for him.
+        Why.OTHER_WAITS: yields & wants_pass & free & (likely.other_yields > own_yield),
+        # Of two who wait for each other, nobody can tell who will go.
+        Why.STANDS: (fastest < STANDING_MPS) & yields & (wants_pass | (own_yield < SURE)),
+        Why.SAID_OTHERWISE: _contradicts(outlook, before, goes, other) & (goes | safe),
+    }
 
 
-def _contradicts(before: Sequence[Told | None], goes: BoolArray, names: list[str]) -> BoolArray:
-    """Whether egos [R] have been told the opposite about the same other vehicle."""
-    opposite = ["yield" if one else "pass" for one in goes.tolist()]
+def _contradicts(outlook: Outlook, before: Before, goes: BoolArray, other: IntArray) -> BoolArray:
+    """Whether egos [R] have been told the opposite about the same other vehicles [R]."""
+    ids = outlook.scene.ids
     return np.array(
         [
-            told is not None and pair in told.said
-            for told, pair in zip(before, zip(opposite, names, strict=True), strict=True)
+            (ACTIONS[not one], ids[v]) in said
+            for said, one, v in zip(before.said, goes.tolist(), other.tolist(), strict=True)
         ],
         dtype=np.bool_,
     )
-
-
-def _less_likely_of_two(
-    yields: BoolArray, ego: IntArray, other: IntArray, chance: FloatArray
-) -> BoolArray:
-    """Of each two who are told to yield to one another, the one [R] less likely to."""
-    if not len(ego):
-        return yields
-    count = int(max(ego.max(), other.max())) + 1
-    lets_go, chance_of = np.full(count, -1), np.zeros(count)
-    lets_go[ego[yields]] = other[yields]
-    chance_of[ego] = chance
-    mutual = yields & (lets_go[other] == ego)
-    its = chance_of[other]
-    return np.asarray(mutual & ((chance < its) | ((chance == its) & (ego < other))))

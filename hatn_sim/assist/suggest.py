@@ -18,7 +18,6 @@ from hatn_sim.assist.choice import (
     Chosen,
     Likely,
     Options,
-    Told,
     choose,
     first_of_others,
     likely_slots,
@@ -27,6 +26,7 @@ from hatn_sim.assist.choice import (
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
 from hatn_sim.assist.profile import Profiles, drive
+from hatn_sim.assist.told import Told, recall, remember
 from hatn_sim.assist.words import names, words
 from hatn_sim.datatypes import (
     FloatArray,
@@ -80,35 +80,17 @@ def suggest(
     if not len(row):
         return SuggestionState(recent, stopped), ()
     egos_now = [scene.ids[v] for v in graphs.ego[row].tolist()]
-    before = [recent.get(name) for name in egos_now]
+    before = recall([recent.get(name) for name in egos_now], scene, graphs, row, chances)
     outlook = look_ahead(road, scene, prediction, pairs)
     likely = likely_slots(scene, graphs, chances, row, before)
     has_stopped = np.array([name in stopped for name in egos_now])
     options = weigh_options(outlook, row, likely, has_stopped)
     chosen = choose(outlook, row, likely, options, before)
     out = _suggestions(outlook, row, likely, options, chosen)
-    told = recent | {
-        one.ego_id: Told(
-            scene.ids[graphs.rear[e, m]],
-            one.slot_id or "",
-            one.action,
-            one.feasible,
-            doubted_s,
-            _said(old, one),
-            one.time_s,
-        )
-        for one, old, e, m, doubted_s in zip(
-            out, before, row.tolist(), chosen.slot.tolist(), chosen.doubted_s, strict=True
-        )
-    }
-    return SuggestionState(told, stopped), out
-
-
-def _said(before: Told | None, now: Suggestion) -> frozenset[tuple[str, str]]:
-    """All that was said to an ego for as long as it has had a choice."""
-    said = frozenset[tuple[str, str]]() if before is None else before.said
-    pair = (now.action, now.slot_id or "")
-    return said if now.action == "abstain" or pair in said else said | {pair}
+    group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
+    concerns = np.where((chosen.slot > 0)[:, None], group, options.let_go)
+    told = remember(before, scene, graphs, row, concerns, chosen)
+    return SuggestionState(recent | dict(zip(egos_now, told, strict=True)), stopped), out
 
 
 def slot_profiles(
@@ -146,8 +128,7 @@ def _suggestions(
 ) -> tuple[Suggestion, ...]:
     graphs, scene = outlook.graphs, outlook.scene
     rows, goes = np.arange(len(row)), chosen.slot > 0
-    node = np.where(goes, chosen.slot, likely.first)
-    room = outlook.room_m[row, node][:, None]
+    room = outlook.room_m[row, chosen.node][:, None]
     profiles = options.driven.of(np.where(goes, options.of_pass, rows))
     target = profiles.arrival_s(room)[:, 0]
     mean_mps = np.maximum(room[:, 0], 0.0) / np.maximum(target, 0.1)
@@ -162,7 +143,7 @@ def _suggestions(
         target.tolist(),
         mean_mps.tolist(),
         chosen.feasible.tolist(),
-        options.let_go.tolist(),
+        options.let_go.sum(axis=1).tolist(),
         options.open_s.tolist(),
         np.round(profiles.tick_speed_mps(), 3).tolist(),
         strict=True,
