@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -59,6 +60,26 @@ EDGE_M: Final = 0.1
 STANDING_MPS: Final = 0.3
 ROUNDING_S: Final = 1e-6
 HORIZON_S: Final = float(KNOT_AT_S[-1])
+
+
+class Why(IntEnum):
+    """Why an ego is told what it is told, or nothing."""
+
+    LIKELY = 0  # told: the most probable slot
+    LIKELY_UNSAFE = 1  # told, as the most probable slot is not safe, or asks for more than comfort
+    HELD = 2  # told before, and kept, though another slot is more probable now
+    FAR = 3  # silent, as the following: the conflict is far
+    UNSURE = 4  # no slot leads the next by enough
+    SETTLING = 5  # the slot has not been the best for long enough
+    UNSAFE_PASS = 6  # the likely pass is not safe
+    TOO_LATE = 7  # a yield would ask for more than comfort
+    GONE_IN_TIME = 8  # the ego is likely to be out before the other comes
+    IN_THE_WAY = 9  # the ego is in the other's way already
+    OTHER_WAITS = 10  # the other is likelier to wait for the ego
+    STANDS = 11  # both stand, and nobody can tell who will go
+    SAID_OTHERWISE = 12  # the opposite has been said in this encounter
+    MUTUAL = 13  # the other is told to yield
+    AGAINST_LIKELY = 14  # the likely pass is possible, and a yield would be told
 
 
 @dataclass(frozen=True)
@@ -116,6 +137,7 @@ class Likely:
     told: IntArray  # [R] the slot told before, -1: none, or it is gone
     still_there: BoolArray  # [R] whom it was about
     slot: IntArray  # [R]
+    near: BoolArray  # [R] the conflict
     speaks: BoolArray  # [R] clearly enough to say so
     begins: BoolArray  # [R] it is a yield not told before
     other_yields: FloatArray  # [R] how probably whoever is first lets the ego go
@@ -152,6 +174,7 @@ def likely_slots(
         told,
         still_there,
         slot,
+        near,
         speaks,
         (told != 0) & (slot == 0) & speaks,
         _yields_to(graphs, slot_probability, row, first),
@@ -268,6 +291,7 @@ class Chosen:
     speaks: BoolArray
     feasible: BoolArray
     doubted_s: tuple[float | None, ...]  # since when another slot would have been advised
+    why: IntArray  # of Why
 
 
 def choose(
@@ -308,27 +332,42 @@ def choose(
         one if held else None for one, held in zip(since_s.tolist(), holds.tolist(), strict=True)
     )
     goes, begins = slot > 0, slot != told
-    waits = begins & goes & ~safe & options.stays_out
-    waits |= begins & ~goes & wants_pass & ~(keeps & gentle)
-    # A yield does not begin where it asks for more than comfort, or the ego is likely to be gone in
-    # time and might do otherwise, ...
-    own_yield = likely.chances.of[:, 0]
-    free = options.likely_margin_s > 0.0
-    waits |= begins & ~goes & (~gentle | (free & (own_yield < SURE)))
-    # ... nor where it is in the other's way already.
-    waits |= begins & ~goes & in_the_way(outlook, row)[np.arange(len(row)), likely.first]
-    # Nobody is told to yield to one who is likelier to wait for him.
-    waits |= ~goes & ~holds & wants_pass & free & (likely.other_yields > own_yield)
-    # Of two who wait for each other, nobody can tell who will go.
+    own_yield, likely_free = likely.chances.of[:, 0], options.likely_margin_s > 0.0
     graphs, speed = outlook.graphs, outlook.scene.speed_mps
     fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
-    waits |= (fastest < STANDING_MPS) & ~goes & (wants_pass | (own_yield < SURE))
     other = graphs.rear[row, np.where(goes, slot, likely.first)]
     names = [outlook.scene.ids[v] for v in other.tolist()]
-    waits |= _contradicts(before, goes, names) & (goes | safe)
-    speaks = (likely.speaks | holds) & ~waits
-    speaks &= ~_less_likely_of_two(speaks & ~goes, graphs.ego[row], other, own_yield)
-    return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted)
+    yields, begins_to_yield = ~goes, begins & ~goes
+    in_way = in_the_way(outlook, row)[np.arange(len(row)), likely.first]
+    silent = {
+        Why.FAR: ~(likely.speaks | holds) & ~likely.near & (told < 0),
+        Why.UNSURE: ~(likely.speaks | holds),
+        Why.UNSAFE_PASS: begins & goes & ~safe & options.stays_out,
+        # A yield does not begin where it asks for more than comfort, ...
+        Why.TOO_LATE: begins_to_yield & ~gentle,
+        Why.AGAINST_LIKELY: begins_to_yield & wants_pass & ~(keeps & gentle),
+        # ... or the ego is likely to be gone in time and might do otherwise, ...
+        Why.GONE_IN_TIME: begins_to_yield & likely_free & (own_yield < SURE),
+        # ... nor where it is in the other's way already.
+        Why.IN_THE_WAY: begins_to_yield
+        & in_the_way(outlook, row)[np.arange(len(row)), likely.first],
+        # Nobody is told to yield to one who is likelier to wait for him.
+        Why.OTHER_WAITS: yields
+        & ~holds
+        & wants_pass
+        & likely_free
+        & (likely.other_yields > own_yield),
+        # Of two who wait for each other, nobody can tell who will go.
+        Why.STANDS: (fastest < STANDING_MPS) & yields & (wants_pass | (own_yield < SURE)),
+        Why.SAID_OTHERWISE: _contradicts(before, goes, names) & (goes | safe),
+    }
+    speaks = ~np.any(list(silent.values()), axis=0)
+    silent[Why.MUTUAL] = _less_likely_of_two(speaks & yields, graphs.ego[row], other, own_yield)
+    is_best, is_unsafe = slot == likely.chances.best, np.where(wants_pass, ~safe, ~gentle)
+    told_as = np.where(is_best, Why.LIKELY, np.where(is_unsafe, Why.LIKELY_UNSAFE, Why.HELD))
+    why = np.select(list(silent.values()), list(silent), told_as)
+    speaks &= ~silent[Why.MUTUAL]
+    return Chosen(slot, other, speaks, np.where(goes, safe, gentle), doubted, why)
 
 
 def _contradicts(before: Sequence[Told | None], goes: BoolArray, names: list[str]) -> BoolArray:
