@@ -349,8 +349,7 @@ def choose(
         # ... or the ego is likely to be gone in time and might do otherwise, ...
         Why.GONE_IN_TIME: begins_to_yield & likely_free & (own_yield < SURE),
         # ... nor where it is in the other's way already.
-        Why.IN_THE_WAY: begins_to_yield
-        & in_the_way(outlook, row)[np.arange(len(row)), likely.first],
+        Why.IN_THE_WAY: begins_to_yield & in_way,
         # Nobody is told to yield to one who is likelier to wait for him.
         Why.OTHER_WAITS: yields
         & ~holds
