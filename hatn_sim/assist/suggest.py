@@ -12,21 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.choice import (
-    ROUNDING_S,
-    STANDING_MPS,
-    Chosen,
-    Likely,
-    Options,
-    choose,
-    first_of_others,
-    likely_slots,
-    weigh_options,
-)
+from hatn_sim.assist.choice import STANDING_MPS, Chosen, choose
+from hatn_sim.assist.likely import Likely, first_of_others, likely_slots
+from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
 from hatn_sim.assist.profile import Profiles, drive
-from hatn_sim.assist.told import Told, recall, remember
+from hatn_sim.assist.told import ROUNDING_S, Told, recall, remember
 from hatn_sim.assist.words import names, words
 from hatn_sim.datatypes import (
     FloatArray,

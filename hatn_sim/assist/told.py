@@ -15,6 +15,9 @@ from hatn_sim.datatypes import BoolArray, FloatArray, IntArray, Scene, SemanticG
 
 ACTIONS: Final = ("yield", "pass")
 SILENT: Final = "abstain"
+LEAST_S: Final = 1.0
+"""Advice says the same for so long (action, whom it names, feasible), but where that is unsafe."""
+ROUNDING_S: Final = 1e-6
 
 
 @dataclass(frozen=True)
