@@ -98,6 +98,13 @@ class Profiles:
         ends = 2.0 * np.diff(self.speed_mps) / _STEP_S - self.acceleration_mps2[:, :-1]
         return np.asarray(np.maximum(-ends.min(axis=1), 0.0))
 
+    def mean_mps(self, until_s: FloatArray) -> FloatArray:
+        """[R] from now until then, at least a tick and at most to the end."""
+        speed = self.tick_speed_mps()
+        ticks = np.clip(np.round(until_s / DT_S), 1, PROFILE_FRAMES).astype(np.int64)
+        counts = np.arange(PROFILE_FRAMES) < ticks[:, None]
+        return np.asarray(np.where(counts, speed, 0.0).sum(axis=1) / ticks)
+
     def of(self, rows: IntArray) -> Profiles:
         """Some of them, in the order asked for."""
         return Profiles(
