@@ -245,11 +245,15 @@ class Suggestion:
     slot_id: str | None  # the vehicle to pass before; on yield: the one to let go first
     probability: float  # that the ego takes this slot
     margin: float  # to the most probable of the other slots
-    target_time_s: float  # from now until the ego, driving the profile, is at the conflict
+    target_time_s: float | None  # until the ego, driving the profile, is at the conflict; None:
+    # nobody can say
     advised_speed_mps: float  # mean of the profile until then
     feasible: bool  # within the comfort limits
     text: str
     profile_mps: tuple[float, ...] = ()  # speed at the end of each tick; empty on abstention
+    reason: str = (
+        ""  # why this is advised, or nothing: one of `assist.choice.Why`, in small letters
+    )
 
 
 @dataclass(frozen=True)
@@ -348,7 +352,8 @@ class Plan:
     """Drive a vehicle open loop, whatever is in its way; then the simulator's driver has it back.
 
     In SUMO's terms: speed mode 32, all of its checks off (safe gap, right of way, the vehicle's
-    limits). Without effect while the vehicle is not on the road.
+    limits); 33 where it `follows`: nobody who drives by a plan looks away from the one ahead of
+    him. Without effect while the vehicle is not on the road.
     """
 
     ego_id: str
@@ -356,6 +361,7 @@ class Plan:
     speed_mps: FloatArray  # [F] at the end of each tick from the start on
     blend_s: float = 0.0  # over which the speed it has at the start changes to the planned ones
     at_least: bool = False  # faster where the simulator's driver would be
+    follows: bool = False  # no faster than that driver would follow whoever is ahead on his way
 
 
 @dataclass(frozen=True)

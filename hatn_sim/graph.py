@@ -21,6 +21,8 @@ from hatn_sim.datatypes import (
     Front,
     Gate,
     IntArray,
+    Lines,
+    Scene,
     SemanticGraphs,
 )
 from hatn_sim.perception import Motion, Perception, motion_along
@@ -199,19 +201,24 @@ class Gates:
 
 def next_gates(road: Road, seen: Perception) -> Gates:
     """The gates ahead of every vehicle on its line."""
-    line = np.maximum(seen.lines.line, 0)
+    return gates_ahead(road, seen.scene, seen.lines)
+
+
+def gates_ahead(road: Road, scene: Scene, lines: Lines) -> Gates:
+    """The gates ahead of every vehicle of a scene on lines given."""
+    line = np.maximum(lines.line, 0)
     if not len(road.count):
         nothing = np.full(len(line), np.inf)
         return Gates(nothing, nothing, nothing)
-    front = seen.lines.s_m + 0.5 * seen.scene.size_m[:, 0]
+    front = lines.s_m + 0.5 * scene.size_m[:, 0]
     to_gate = road.gate_s_m[line] - front[:, None]
     # A vehicle that stands with its bumper a little over the line is still behind it.
-    ahead = (to_gate > -0.5) & (seen.lines.line >= 0)[:, None]
+    ahead = (to_gate > -0.5) & (lines.line >= 0)[:, None]
     kind, signal = road.gate_type[line], road.gate_signal[line]
     # A recording may know nothing of the signals of its map: these count as open.
     signals = int(signal.max(initial=-1)) + 2
-    closed = np.zeros(max(signals, len(seen.scene.signal_closed) + 1), dtype=np.bool_)
-    closed[: len(seen.scene.signal_closed)] = seen.scene.signal_closed  # the last: found by -1
+    closed = np.zeros(max(signals, len(scene.signal_closed) + 1), dtype=np.bool_)
+    closed[: len(scene.signal_closed)] = scene.signal_closed  # the last: found by -1
 
     def nearest_m(counts: BoolArray) -> FloatArray:
         return np.where(ahead & counts, to_gate, np.inf).min(axis=1)

@@ -115,8 +115,8 @@ def choose(
     goes = slot > 0
     goes_on = (told >= 0) & (goes == (told > 0))
     node = np.where(goes, slot, named)
-    # What is unsafe is taken back at once. Else a driver needs a while to do what he is told, and it
-    # should not be over by then.
+    # What is unsafe is taken back at once. Else a driver needs a while to do what he is told, and
+    # it should not be over by then.
     lasts_s = np.where(goes, options.done_s, options.open_s)
     says_on = goes_on & (node == before.about)
     silent[Why.BRIEF] = ~says_on & ~urgent & (lasts_s < REACTION_S)

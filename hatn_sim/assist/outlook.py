@@ -16,6 +16,7 @@ from hatn_sim.assist.pairs import CROSS, MERGE, Pairs, at_conflicts
 from hatn_sim.assist.profile import (
     COMFORT_ACCELERATION_MPS2,
     COMFORT_BRAKING_MPS2,
+    EASE_S,
     FAR_S,
     KNOT_AT_S,
     LEADER,
@@ -31,13 +32,12 @@ from hatn_sim.datatypes import (
     HORIZON_FRAMES,
     BoolArray,
     FloatArray,
-    Front,
     IntArray,
     Prediction,
     Scene,
     SemanticGraphs,
 )
-from hatn_sim.graph import AHEAD_AT_M, CONTEXT
+from hatn_sim.graph import AHEAD_AT_M, CONTEXT, gates_ahead
 from hatn_sim.road import Road
 from hatn_sim.speed_profile import LATERAL_MPS2
 
@@ -60,6 +60,7 @@ class Outlook:
     graphs: SemanticGraphs
     travelled_m: FloatArray  # [N, F] on the most probable predicted path
     slowest_m: FloatArray  # [N, F] the least that they may plausibly travel
+    stop_m: FloatArray  # [N] to a stop line or a closed signal, whoever is before it; inf: none
     room_m: FloatArray  # [E, M] from the ego's front bumper to the area
     clear_m: FloatArray  # [E, M] the ego's way until its rear bumper is out of the area
     other_room_m: FloatArray  # [E, M] from the other's front bumper to the area
@@ -101,12 +102,14 @@ def look_ahead(
         whole[e, m] = of_pair
         return whole
 
+    gates = gates_ahead(road, scene, lines)
     taken_m, taken_s = _taken(pairs or at_conflicts(road, scene, lines), graphs, travelled)
     return Outlook(
         scene=scene,
         graphs=graphs,
         travelled_m=travelled,
         slowest_m=slowest,
+        stop_m=np.minimum(gates.stop_m, gates.closed_m),
         room_m=by_node(room[:, 0]),
         clear_m=by_node(clear[:, 0]),
         other_room_m=by_node(room[:, 1]),
@@ -202,21 +205,20 @@ def approaches(
     closed = first & ~(merging & (outlook.room_m[row] <= 0.0))
     opens = outlook.leave_s[row] + LEAVE_MARGIN_S
     leader_m, leader_mps = _leaders(outlook, row, first, start_s + KNOT_AT_S)
-    to_line = np.where(
-        (graphs.front_type[row, 0] == Front.STOP) & ~has_stopped,
-        graphs.x[row, 0, -1, 6],
-        np.inf,
-    )
+    to_line = np.where(has_stopped, np.inf, outlook.stop_m[ego])
     speed, start_m = scene.speed_mps[ego], np.zeros(len(row))
+    acceleration = graphs.context[row, 0, _ACCELERATION]
     if start_s > 0.0:
-        travel, then = travel_at(outlook.travelled_m[ego], np.array([start_s]))
-        speed, start_m = then[:, 0], travel[:, 0]
+        lately_s = np.array([max(start_s - EASE_S, 0.0), start_s])
+        travel, then = travel_at(outlook.travelled_m[ego], lately_s)
+        speed, start_m = then[:, 1], travel[:, 1]
+        acceleration = (then[:, 1] - then[:, 0]) / max(lately_s[1] - lately_s[0], DT_S)
     return (
         Approach(
             start_s=start_s,
             start_m=start_m,
             speed_mps=speed,
-            acceleration_mps2=graphs.context[row, 0, _ACCELERATION],
+            acceleration_mps2=acceleration,
             allowed_mps=_allowed_mps(graphs.context[row, 0]),
             leader_m=leader_m,
             leader_mps=leader_mps,

@@ -21,7 +21,8 @@ KNOT_AT_S: Final[FloatArray] = np.array(
 )
 """Between knots the jerk is constant. The first ones are closest: a new profile replaces them."""
 KNOTS: Final = len(KNOT_AT_S) - 1
-_KNOT_STEP_S: Final[list[float]] = np.diff(KNOT_AT_S).tolist()
+_STEP_S: Final[FloatArray] = np.diff(KNOT_AT_S)
+_KNOT_STEP_S: Final[list[float]] = _STEP_S.tolist()
 _KNOT_BEFORE_S: Final = np.append(0.0, KNOT_AT_S[:-1])
 ROAD_STEP_M: Final = 2.5
 ROAD_REACH_M: Final = 50.0
@@ -94,7 +95,15 @@ class Profiles:
     @property
     def braking_mps2(self) -> FloatArray:
         """[R] the hardest; how it brakes as it starts is not the profile's."""
-        return np.asarray(np.maximum(-self.acceleration_mps2[:, 1:].min(axis=1), 0.0))
+        ends = 2.0 * np.diff(self.speed_mps) / _STEP_S - self.acceleration_mps2[:, :-1]
+        return np.asarray(np.maximum(-ends.min(axis=1), 0.0))
+
+    def mean_mps(self, until_s: FloatArray) -> FloatArray:
+        """[R] from now until then, at least a tick and at most to the end."""
+        speed = self.tick_speed_mps()
+        ticks = np.clip(np.round(until_s / DT_S), 1, PROFILE_FRAMES).astype(np.int64)
+        counts = np.arange(PROFILE_FRAMES) < ticks[:, None]
+        return np.asarray(np.where(counts, speed, 0.0).sum(axis=1) / ticks)
 
     def of(self, rows: IntArray) -> Profiles:
         """Some of them, in the order asked for."""
@@ -103,11 +112,14 @@ class Profiles:
         )
 
     def tick_speed_mps(self) -> FloatArray:
-        """[R, F] at the end of each tick: the jerk is constant between knots."""
-        low, part_s = _TICK_KNOT, _TICK_PART_S
-        acceleration = self.acceleration_mps2
-        ramp = (acceleration[:, low + 1] - acceleration[:, low]) / _TICK_STEP_S
-        speed = self.speed_mps[:, low] + part_s * (acceleration[:, low] + 0.5 * part_s * ramp)
+        """[R, F] at the end of each tick: the jerk is constant between knots.
+
+        Also where a vehicle comes to a stand at a knot, from which on its acceleration is nothing.
+        """
+        low, part = _TICK_KNOT, _TICK_PART_S / _TICK_STEP_S
+        before, gained = self.speed_mps[:, low], np.diff(self.speed_mps)[:, low]
+        at_once = self.acceleration_mps2[:, low] * _TICK_STEP_S
+        speed = before + part * (at_once + part * (gained - at_once))
         return np.asarray(np.maximum(speed, 0.0))
 
     def arrival_s(self, distance_m: FloatArray) -> FloatArray:
@@ -134,7 +146,7 @@ class Profiles:
 _TICK_S: Final = DT_S * np.arange(1, PROFILE_FRAMES + 1)
 _TICK_KNOT: Final = np.clip(np.searchsorted(KNOT_AT_S, _TICK_S + 1e-9) - 1, 0, KNOTS - 1)
 _TICK_PART_S: Final = _TICK_S - KNOT_AT_S[_TICK_KNOT]
-_TICK_STEP_S: Final = np.diff(KNOT_AT_S)[_TICK_KNOT]
+_TICK_STEP_S: Final = _STEP_S[_TICK_KNOT]
 
 
 def drive(approach: Approach) -> Profiles:
@@ -150,7 +162,7 @@ def drive(approach: Approach) -> Profiles:
     speeds, accelerations, travels = np.empty(shape), np.empty(shape), np.empty(shape)
     speed, travelled = np.maximum(approach.speed_mps, 0.0), approach.start_m
     acceleration = np.clip(
-        approach.acceleration_mps2, -HARD_BRAKING_MPS2, COMFORT_ACCELERATION_MPS2
+        approach.acceleration_mps2, -COMFORT_BRAKING_MPS2, COMFORT_ACCELERATION_MPS2
     )
     speeds[0], accelerations[0], travels[0] = speed, acceleration, travelled
     places = _places(approach)
@@ -161,7 +173,8 @@ def drive(approach: Approach) -> Profiles:
         drop = np.where(is_hard, HARD_JERK_MPS3 * step_s, COMFORT_JERK_MPS3 * step_s)
         before = acceleration
         most = np.minimum(before + COMFORT_JERK_MPS3 * step_s, COMFORT_ACCELERATION_MPS2)
-        least = np.maximum(before - drop, -HARD_BRAKING_MPS2)
+        # To let go of the accelerator takes no time.
+        least = np.maximum(np.minimum(before, 0.0) - drop, -HARD_BRAKING_MPS2)
         acceleration = np.minimum(np.maximum(wanted, least), most)
         after = speed + 0.5 * step_s * (before + acceleration)
         # It stops rather than reverse, and starts again from an acceleration of nothing.

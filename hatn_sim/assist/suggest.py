@@ -12,15 +12,16 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.choice import STANDING_MPS, Chosen, choose
+from hatn_sim.assist.choice import STANDING_MPS, Chosen, Why, choose
 from hatn_sim.assist.likely import Likely, first_of_others, likely_slots
 from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
-from hatn_sim.assist.profile import Profiles, drive
+from hatn_sim.assist.profile import PROFILE_FRAMES, Profiles, drive
 from hatn_sim.assist.told import ROUNDING_S, Told, recall, remember
-from hatn_sim.assist.words import names, words
+from hatn_sim.assist.words import braking, names, words
 from hatn_sim.datatypes import (
+    DT_S,
     FloatArray,
     Front,
     IntArray,
@@ -34,6 +35,9 @@ from hatn_sim.road import Road
 PAUSE_S: Final = 1.0
 """Who has no choice for longer than this has another encounter then."""
 AT_LINE_M: Final = 3.0
+FORESEEN_S: Final = 10.0
+"""Later than this nobody can say when the ego will be at the conflict."""
+PROFILE_S: Final = DT_S * PROFILE_FRAMES
 
 
 @dataclass(frozen=True)
@@ -122,8 +126,11 @@ def _suggestions(
     rows, goes = np.arange(len(row)), chosen.slot > 0
     room = outlook.room_m[row, chosen.node][:, None]
     profiles = options.driven.of(np.where(goes, options.of_pass, rows))
-    target = profiles.arrival_s(room)[:, 0]
-    mean_mps = np.maximum(room[:, 0], 0.0) / np.maximum(target, 0.1)
+    arrival = profiles.arrival_s(room)[:, 0]
+    # Beyond the profile nobody goes before the way is open.
+    waits = ~goes & (arrival > PROFILE_S)
+    target = np.where(waits, np.maximum(arrival, options.open_s), arrival)
+    mean_mps, speeds = profiles.mean_mps(arrival), profiles.tick_speed_mps()
     ego, other = graphs.ego[row], chosen.other
     columns = zip(
         ego.tolist(),
@@ -132,12 +139,13 @@ def _suggestions(
         np.where(chosen.speaks, np.where(goes, "pass", "yield"), "abstain").tolist(),
         likely.chances.of[rows, chosen.slot].tolist(),
         likely.chances.margin(chosen.slot).tolist(),
-        target.tolist(),
+        [one if one <= FORESEEN_S else None for one in target.tolist()],
         mean_mps.tolist(),
         chosen.feasible.tolist(),
         options.let_go.sum(axis=1).tolist(),
-        options.open_s.tolist(),
-        np.round(profiles.tick_speed_mps(), 3).tolist(),
+        braking(scene.speed_mps[ego], speeds, chosen.feasible),
+        [Why(one).name.lower() for one in chosen.why.tolist()],
+        np.round(speeds, 3).tolist(),
         strict=True,
     )
     return tuple(
@@ -151,8 +159,17 @@ def _suggestions(
             target_time_s=target_s,
             advised_speed_mps=advised_mps,
             feasible=feasible,
-            text=words(who, action, more=let_go - 1, open_s=open_s, feasible=feasible),
-            profile_mps=() if action == "abstain" else tuple(speeds),
+            text=words(
+                who,
+                action,
+                more=let_go - 1,
+                target_s=target_s,
+                feasible=feasible,
+                brakes=brakes,
+                reason=reason,
+            ),
+            profile_mps=() if action == "abstain" else tuple(profile_mps),
+            reason=reason,
         )
         for (
             mine,
@@ -165,7 +182,8 @@ def _suggestions(
             advised_mps,
             feasible,
             let_go,
-            open_s,
-            speeds,
+            brakes,
+            reason,
+            profile_mps,
         ) in columns
     )

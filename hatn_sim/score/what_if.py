@@ -215,7 +215,13 @@ class WhatIf:
         outlook = look_ahead(self._simulator.road, frame.scene, advice.prediction)
         profiles = slot_profiles(self._advised, outlook, row, slot, chances, settings.reaction_s)
         return [
-            Plan(graphs.ids[graphs.ego[e]], settings.reaction_s, speed_mps, settings.blend_s)
+            Plan(
+                graphs.ids[graphs.ego[e]],
+                settings.reaction_s,
+                speed_mps,
+                settings.blend_s,
+                follows=True,
+            )
             for e, speed_mps in zip(row.tolist(), profiles.tick_speed_mps(), strict=True)
         ]
 

@@ -9,7 +9,11 @@ from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 from hatn_sim.datatypes import Change, GiveWay, Plan
-from hatn_sim.simulators.sumo_rows import OBEY_SPEED_MODE, OWN_SPEED_MODE
+from hatn_sim.simulators.sumo_rows import (
+    FOLLOW_SPEED_MODE,
+    OBEY_SPEED_MODE,
+    OWN_SPEED_MODE,
+)
 
 NOSE_M: Final = 0.5
 """Whose front bumper is farther in a place than this does not stop in it."""
@@ -55,7 +59,7 @@ class Obedience:
             vehicle.setSpeedMode(name, OWN_SPEED_MODE)
         for name, speed_mps in speeds_mps.items():
             if name not in self._driving:
-                vehicle.setSpeedMode(name, OBEY_SPEED_MODE)
+                vehicle.setSpeedMode(name, self._told[name].speed_mode)
             vehicle.setSpeed(name, speed_mps)
         self._driving = set(speeds_mps)
 
@@ -64,6 +68,7 @@ class _Planned:
     """Drives a plan."""
 
     def __init__(self, plan: Plan) -> None:
+        self.speed_mode = FOLLOW_SPEED_MODE if plan.follows else OBEY_SPEED_MODE
         self._plan = plan
         self._excess_mps: float | None = None  # how much faster than planned it was at the start
 
@@ -85,6 +90,8 @@ class _Planned:
 
 class _GivesWay:
     """Gives way."""
+
+    speed_mode = OBEY_SPEED_MODE
 
     def __init__(self, change: GiveWay, vehicle: Any) -> None:
         self._change, self._vehicle = change, vehicle

@@ -11,6 +11,9 @@ from hatn_sim.datatypes import FloatArray
 OBEY_SPEED_MODE: Final = 32
 """All of SUMO's checks off (safe gap, acceleration limits, right of way, red lights): a commanded
 vehicle does what it is told, into a collision if need be."""
+FOLLOW_SPEED_MODE: Final = 33
+"""As told, but no faster than SUMO's driver follows whoever is ahead of him on his way: right of
+way, red lights and the vehicle's own limits do not count."""
 OWN_SPEED_MODE: Final = 31
 """All checks on: SUMO's own driver."""
 ROUNDING_MPS: Final = 1e-6
