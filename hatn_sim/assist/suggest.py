@@ -21,7 +21,6 @@ from hatn_sim.assist.choice import (
     Told,
     Why,
     choose,
-    first_of_others,
     likely_slots,
     weigh_options,
 )
@@ -31,7 +30,6 @@ from hatn_sim.assist.profile import PROFILE_FRAMES, Profiles, drive
 from hatn_sim.assist.words import braking, names, words
 from hatn_sim.datatypes import (
     DT_S,
-    FloatArray,
     Front,
     IntArray,
     Prediction,
@@ -121,18 +119,18 @@ def slot_profiles(
     outlook: Outlook,
     row: IntArray,
     slot: IntArray,
-    chances: FloatArray,
+    named: IntArray,
     start_s: float = 0.0,
 ) -> Profiles:
     """How egos of graphs [R] take slots [R], advised or not, from `start_s` on.
 
-    `state` is what `suggest` gave for the moment, `chances` are the slot probabilities [E, M]. The
-    speeds of a plan are `tick_speed_mps()`.
+    `state` is what `suggest` gave for the moment; `named` [R] are the nodes that go first where an
+    ego yields (`first_of_others`, if it is not told whom). The speeds of a plan are
+    `tick_speed_mps()`.
     """
     names = [outlook.scene.ids[v] for v in outlook.graphs.ego[row].tolist()]
     has_stopped = np.array([name in state.stopped for name in names], dtype=np.bool_)
-    first = first_of_others(outlook.graphs.focus_mask[row], chances[row])
-    return drive(approaches(outlook, row, slot, first, has_stopped, start_s)[0])
+    return drive(approaches(outlook, row, slot, named, has_stopped, start_s)[0])
 
 
 def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs) -> frozenset[str]:
