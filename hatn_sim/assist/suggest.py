@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.choice import STANDING_MPS, Chosen, Why, choose
-from hatn_sim.assist.likely import Likely, first_of_others, likely_slots
+from hatn_sim.assist.likely import Likely, likely_slots
 from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
@@ -22,7 +22,6 @@ from hatn_sim.assist.told import ROUNDING_S, Told, recall, remember
 from hatn_sim.assist.words import braking, names, words
 from hatn_sim.datatypes import (
     DT_S,
-    FloatArray,
     Front,
     IntArray,
     Prediction,
@@ -94,18 +93,18 @@ def slot_profiles(
     outlook: Outlook,
     row: IntArray,
     slot: IntArray,
-    chances: FloatArray,
+    named: IntArray,
     start_s: float = 0.0,
 ) -> Profiles:
     """How egos of graphs [R] take slots [R], advised or not, from `start_s` on.
 
-    `state` is what `suggest` gave for the moment, `chances` are the slot probabilities [E, M]. The
-    speeds of a plan are `tick_speed_mps()`.
+    `state` is what `suggest` gave for the moment; `named` [R] are the nodes that go first where an
+    ego yields (`first_of_others`, if it is not told whom). The speeds of a plan are
+    `tick_speed_mps()`.
     """
     names = [outlook.scene.ids[v] for v in outlook.graphs.ego[row].tolist()]
     has_stopped = np.array([name in state.stopped for name in names], dtype=np.bool_)
-    first = first_of_others(outlook.graphs.focus_mask[row], chances[row])
-    return drive(approaches(outlook, row, slot, first, has_stopped, start_s)[0])
+    return drive(approaches(outlook, row, slot, named, has_stopped, start_s)[0])
 
 
 def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs) -> frozenset[str]:

@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
 from hatn_sim.datatypes import Advice, FloatArray, Frame, Prediction, Predictor, Scene
@@ -143,7 +144,8 @@ def slot_profile(
     if chances is None:
         chances = _sooner_first(outlook.enter_s)
     told = SuggestionState(stopped=mind.stopped)
-    profiles = slot_profiles(told, outlook, rows, np.array([slot]), chances)
+    first = first_of_others(sight.graphs.focus_mask[rows], chances[rows])
+    profiles = slot_profiles(told, outlook, rows, np.array([slot]), first)
     speeds: list[float] = profiles.tick_speed_mps()[0].tolist()
     return speeds
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import quote, unquote
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 PART_FRAMES = 300
 """A Parquet part holds this many frames: a killed run loses at most 30 s of its tables."""
 

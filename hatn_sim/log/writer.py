@@ -167,10 +167,14 @@ class RunWriter:
                 _write_line(self._events, event)
 
     def _write_suggestions(self, frame_index: int, advice: Advice) -> None:
-        """A line when action, slot or feasibility change, not when a probability stirs."""
+        """A line when action, slot, feasibility or the reason for silence change.
+
+        Not when a probability stirs.
+        """
         advised = {}
         for suggestion in advice.suggestions:
-            key = suggestion.action, suggestion.slot_id, suggestion.feasible
+            silence = suggestion.reason if suggestion.action == "abstain" else ""
+            key = suggestion.action, suggestion.slot_id, suggestion.feasible, silence
             advised[suggestion.ego_id] = key
             if self._advised.get(suggestion.ego_id) != key:
                 line = {"frame": frame_index, **asdict(suggestion)}

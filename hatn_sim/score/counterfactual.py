@@ -72,6 +72,7 @@ class SlotCost:
     evasions: int
     collisions: int
     total: float
+    events: tuple[SafetyEvent, ...] = ()  # these: with whom, and when
 
 
 @dataclass(frozen=True)
@@ -204,6 +205,7 @@ def _slot_cost(
         + settings.per_discomfort_mps2 * discomfort_mps2
         + settings.per_evasion * evasions
         + settings.per_collision * collisions,
+        events=events,
     )
 
 

@@ -27,6 +27,7 @@ class Regrets:
     advised: float | None
     always_yield: float | None
     driver: float | None  # the cost of what the driver did, less that of the best slot
+    to_best: float | None = None  # the driver's way counts among the candidates; None in older logs
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class Tally:
     regrets_where_differs: Regrets
     lost: int  # alerts and suggestions of which a branch was lost
     to_the_end: Mapping[str, int]  # verdicts if all events of the branches count; {}: not known
+    regrets_where_slots_differ: Regrets  # elsewhere it makes no difference which slot is taken
+    all_collide: int  # suggestions with a collision whichever slot is taken
 
     @property
     def alerts(self) -> int:
@@ -64,6 +67,8 @@ def tally(lines: Iterable[Mapping[str, Any]]) -> Tally:
         regrets_where_differs=_regrets(differs),
         lost=len(lines) - len(whole),
         to_the_end={verdict: to_the_end.count(verdict) for verdict in VERDICTS if to_the_end},
+        regrets_where_slots_differ=_regrets([line for line in suggestions if slots_differ(line)]),
+        all_collide=sum(all(of["collisions"] for of in line["slots"]) for line in suggestions),
     )
 
 
@@ -72,11 +77,17 @@ def driver_differs(line: Mapping[str, Any]) -> bool:
     return line["driver_action"] not in (None, line["action"])
 
 
+def slots_differ(line: Mapping[str, Any]) -> bool:
+    """Whether it makes any difference which slot is taken."""
+    return len({slot["total"] for slot in line["slots"]}) > 1
+
+
 def _regrets(lines: Sequence[Mapping[str, Any]]) -> Regrets:
     def mean(key: str) -> float | None:
-        return float(np.mean([line[key] for line in lines])) if lines else None
+        known = [line[key] for line in lines if key in line]
+        return float(np.mean(known)) if known else None
 
-    keys = ("regret", "always_yield_regret", "driver_regret")
+    keys = ("regret", "always_yield_regret", "driver_regret", "regret_to_best")
     return Regrets(len(lines), *map(mean, keys))
 
 
@@ -87,9 +98,12 @@ def tally_words(found: Tally, settings: CounterfactualSettings) -> list[str]:
         words.append(f"counting what came later as well: {_counts(found.to_the_end)}")
     for regrets, which in (
         (found.regrets, "suggestions judged"),
+        (found.regrets_where_slots_differ, "of these where it matters which slot is taken"),
         (found.regrets_where_differs, "of these where the driver did otherwise (yield or pass)"),
     ):
         words.append(f"{regrets.n} {which}{_regret_words(regrets)}")
+    if found.all_collide:
+        words.append(f"{found.all_collide} suggestions with a collision whichever slot is taken")
     if found.lost:
         words.append(f"{found.lost} not judged: a branch was lost")
     weights = ", ".join(f"{key} {value:g}" for key, value in asdict(settings).items())
@@ -105,5 +119,11 @@ def _regret_words(regrets: Regrets) -> str:
         return ""
     return (
         f": mean regret {regrets.advised:.2f} "
-        f"(always to yield {regrets.always_yield:.2f}, the driver {regrets.driver:.2f})"
+        f"(always to yield {regrets.always_yield:.2f}, the driver {regrets.driver:.2f}"
+        + (
+            ""
+            if regrets.to_best is None
+            else f"; to the best of slots and driver {regrets.to_best:.2f}"
+        )
+        + ")"
     )

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from hatn_sim.assist.evade import CLEAR
+from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.profile import HARD_BRAKING_MPS2, PROFILE_FRAMES
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
@@ -26,6 +27,7 @@ from hatn_sim.datatypes import (
     Branch,
     BranchFuture,
     Change,
+    FloatArray,
     Frame,
     GiveWay,
     Plan,
@@ -135,14 +137,13 @@ class WhatIf:
         suggestions = [one for one in changed if self._samples(index, one)]
         if not alerts and not suggestions:
             return
-        slots = {
-            one: np.flatnonzero(graphs.focus_mask[row_of[one.ego_id]]).tolist()
-            for one in suggestions
-        }
-        pairs = [(row_of[one.ego_id], slot) for one, many in slots.items() for slot in many]
-        clears = [(row_of[one.ego_id], FIRST) for one in alerts if one.action == CLEAR]
-        plans = iter(self._plans(frame, advice, pairs + clears))
-        changes: list[Change] = [next(plans) for _ in pairs]
+        chances = advice.prediction.slot_probability
+        assert chances is not None
+        ways = {one: _ways(one, row_of[one.ego_id], graphs, chances) for one in suggestions}
+        of_slots = [way for many in ways.values() for way in many]
+        clears = [_Way(row_of[one.ego_id], FIRST, FIRST) for one in alerts if one.action == CLEAR]
+        plans = iter(self._plans(frame, advice, of_slots + clears))
+        changes: list[Change] = [next(plans) for _ in of_slots]
         changes += [
             replace(next(plans), at_least=True) if one.action == CLEAR else self._brake(one)
             for one in alerts
@@ -153,13 +154,10 @@ class WhatIf:
         as_it_is = next(futures)
         now = {"frame": index, "time_s": frame.scene.time_s}
         for one in suggestions:
-            row, of_slots = row_of[one.ego_id], slots[one]
-            advised = _advised_slot(one, row, graphs)
-            facts: Line = now | {"ego_id": one.ego_id, "about": "suggestion", "action": one.action}
-            facts |= {"slot_id": _slot_id(graphs, row, advised), "other_id": one.slot_id}
-            place = of_slots.index(advised)
-            judge = _suggestion_judge(one, graphs, row, of_slots, place, self._settings)
-            driven = [next(futures) for _ in of_slots]
+            facts: Line = now | {"ego_id": one.ego_id, "about": "suggestion"}
+            facts |= {"action": one.action, "slot_id": one.slot_id}
+            judge = _suggestion_judge(one, graphs, ways[one], self._settings)
+            driven = [next(futures) for _ in ways[one]]
             self._asked.append(_Asked(index, facts, as_it_is, driven, judge))
         for one in alerts:
             facts = now | {"ego_id": one.ego_id, "about": "alert", "alert_id": one.alert_id}
@@ -204,16 +202,15 @@ class WhatIf:
         self._told = now
         return changed
 
-    def _plans(self, frame: Frame, advice: Advice, pairs: list[tuple[int, int]]) -> list[Plan]:
-        """For pairs of a graph and one of its slots."""
-        if not pairs:
+    def _plans(self, frame: Frame, advice: Advice, ways: Sequence[_Way]) -> list[Plan]:
+        if not ways:
             return []
         graphs, settings = advice.prediction.graphs, self._settings
-        chances = advice.prediction.slot_probability
-        assert graphs is not None and chances is not None
-        row, slot = np.array(pairs, np.int64).T
+        assert graphs is not None
+        row, slot, first = np.array([(way.row, way.slot, way.first) for way in ways], np.int64).T
         outlook = look_ahead(self._simulator.road, frame.scene, advice.prediction)
-        profiles = slot_profiles(self._advised, outlook, row, slot, chances, settings.reaction_s)
+        start_s = settings.reaction_s
+        profiles = slot_profiles(self._advised, outlook, row, slot, first, start_s)
         return [
             Plan(
                 graphs.ids[graphs.ego[e]],
@@ -239,14 +236,33 @@ class WhatIf:
         return lines
 
 
-def _slot_id(graphs: SemanticGraphs, row: int, slot: int) -> str:
-    """The vehicle behind a slot: whom to pass before; the ego itself on yield."""
-    return graphs.ids[int(graphs.rear[row, slot])]
+@dataclass(frozen=True)
+class _Way:
+    """One way to go on: the ego of a graph takes a slot."""
+
+    row: int
+    slot: int
+    first: int  # the node of whoever goes first on a yield
+
+    def told(self, graphs: SemanticGraphs) -> Line:
+        """As suggestions are: whom to pass before, or to let go first."""
+        node = self.first if self.slot == YIELD else self.slot
+        action = "yield" if self.slot == YIELD else "pass"
+        return {"action": action, "slot_id": graphs.ids[int(graphs.rear[self.row, node])]}
 
 
-def _advised_slot(suggestion: Suggestion, row: int, graphs: SemanticGraphs) -> int:
-    if suggestion.action != "pass":
-        return YIELD
+def _ways(
+    suggestion: Suggestion, row: int, graphs: SemanticGraphs, chances: FloatArray
+) -> list[_Way]:
+    """One for each slot; whom a suggestion lets go first goes first, else the most probable."""
+    (first,) = first_of_others(graphs.focus_mask[[row]], chances[[row]]).tolist()
+    if suggestion.action == "yield":
+        first = _node(suggestion, row, graphs)
+    return [_Way(row, slot, first) for slot in np.flatnonzero(graphs.focus_mask[row]).tolist()]
+
+
+def _node(suggestion: Suggestion, row: int, graphs: SemanticGraphs) -> int:
+    """The node of whom the suggestion names."""
     rear = [graphs.ids[v] if v >= 0 else None for v in graphs.rear[row].tolist()]
     return rear.index(suggestion.slot_id)
 
@@ -254,27 +270,30 @@ def _advised_slot(suggestion: Suggestion, row: int, graphs: SemanticGraphs) -> i
 def _suggestion_judge(
     suggestion: Suggestion,
     graphs: SemanticGraphs,
-    row: int,
-    slots: Sequence[int],
-    advised: int,
+    ways: Sequence[_Way],
     settings: CounterfactualSettings,
 ) -> Callable[[Branch, list[Branch]], Line]:
-    other_id = suggestion.slot_id
+    other_id, row = suggestion.slot_id, ways[0].row
     assert other_id is not None, "who advises names somebody"
+    slots = [way.slot for way in ways]
+    advised = slots.index(YIELD if suggestion.action == "yield" else _node(suggestion, row, graphs))
 
     def judge(as_it_is: Branch, changed: list[Branch]) -> Line:
         *costs, drivers = slot_costs([*changed, as_it_is], suggestion.ego_id, settings)
         totals = [cost.total for cost in costs]
+        best = min(*totals, drivers.total)
         return {
             "slots": [
-                {"slot_id": _slot_id(graphs, row, slot), **asdict(cost)}
-                for slot, cost in zip(slots, costs, strict=True)
+                way.told(graphs) | asdict(cost) for way, cost in zip(ways, costs, strict=True)
             ],
             "driver": asdict(drivers),
             "driver_action": driver_action(as_it_is, graphs, row, other_id),
+            "slots_differ": max(totals) > min(totals),
             "regret": regret(totals, advised),
             "always_yield_regret": regret(totals, slots.index(YIELD)),
             "driver_regret": drivers.total - min(totals),
+            "best_total": best,
+            "regret_to_best": totals[advised] - best,
         }
 
     return judge
