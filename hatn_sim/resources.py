@@ -17,6 +17,8 @@ LEARNING_PREFIX = "learn_"
 SUITES = ("do_warn", "suppress_warn", "no_warn")
 """What a scene can be scripted for: a foe violates the ego's right of way; the same approach, but
 the foe yields late; ordinary traffic (METHOD section 7)."""
+WITHOUT_EVENTS = SUITES[1:]
+"""Suites in which nothing is to be warned of."""
 
 
 def scenarios_dir() -> Path:
@@ -56,6 +58,12 @@ def scenes_of_suite(suite: str) -> tuple[str, ...]:
     if suite not in SUITES:
         raise InputError(f"unknown suite {suite!r}{nearest(suite, SUITES)}")
     return tuple(name for name, path in find_scenarios().items() if _suite_of(path) == suite)
+
+
+def suite_of_each_scene() -> dict[str, str]:
+    """Of the shipped scenes that are of a suite: name -> suite."""
+    suites = {name: _suite_of(path) for name, path in find_scenarios().items()}
+    return {name: suite for name, suite in suites.items() if suite is not None}
 
 
 def _suite_of(path: Path) -> str | None:

@@ -14,7 +14,14 @@ from hatn_sim.assist.moment import PairDangers
 from hatn_sim.assist.settings import AssistSettings
 from hatn_sim.datatypes import SafetyEvent, Score
 from hatn_sim.errors import InputError
-from hatn_sim.evaluation.comparison import by_risk, by_scene, compare_rules, curves_of, write_curves
+from hatn_sim.evaluation.comparison import (
+    by_risk,
+    by_scene,
+    compare_rules,
+    curves_of,
+    thresholds_by_scene,
+    write_curves,
+)
 from hatn_sim.score.advised import Advised
 from hatn_sim.score.assessed import AssessedRun, read_assessed, write_assessed
 from hatn_sim.score.assistance import (
@@ -24,7 +31,13 @@ from hatn_sim.score.assistance import (
     warned,
 )
 from hatn_sim.score.dangers import DangerRecorder, DangerTrace, alerts_at
-from hatn_sim.score.sweep import best_within, operating, sweep, thresholds_of
+from hatn_sim.score.sweep import (
+    best_within,
+    operating,
+    quietest_at,
+    sweep,
+    thresholds_of,
+)
 
 RULE = "hatn"
 
@@ -334,7 +347,8 @@ def test_rules_side_by_side_at_equal_false_alarms(tmp_path: Path) -> None:
         for run in runs
     ]
     curves = curves_of(vague)
-    scores = compare_rules(vague, curves, AssistSettings(alert_onset=1.5, alert_end=1.2))
+    settings = AssistSettings(alert_onset=1.5, alert_end=1.2)
+    scores = compare_rules(vague, thresholds_by_scene(vague, curves, settings), settings)
     told = {
         (one.predictor, one.subset): one.value for one in scores if one.measure == "event_recall"
     }
@@ -342,10 +356,54 @@ def test_rules_side_by_side_at_equal_false_alarms(tmp_path: Path) -> None:
     assert told["vague", "inattentive"] == 0.0
     assert told["oracle", "all"] == 1.0
     assert told["hatn", "courteous"] is None
+    # Half an hour each, nothing happens: ours raises one alert of its two dangers, and the other
+    # rule has to raise both to recall as much.
+    same = {
+        (one.predictor, one.subset): one.value
+        for one in scores
+        if one.measure == "false_alarms_per_hour_at_equal_recall"
+    }
+    assert same["hatn", "courteous"] == 2.0
+    assert same["vague", "courteous"] == 4.0
     write_curves(tmp_path / "curves.csv", curves)
     lines = (tmp_path / "curves.csv").read_text().splitlines()
     assert lines[0].startswith("scene,rule,threshold,false_alarms_per_hour")
     assert len(lines) == 1 + sum(len(curve) for of in curves.values() for curve in of.values())
+
+
+def test_where_nothing_happens_thresholds_are_those_of_the_scenes_with_events() -> None:
+    def with_vague(run: AssessedRun, danger: float) -> AssessedRun:
+        vague = graded(1, run.risk, danger, 2.0).traces[RULE]
+        return replace(run, traces={**run.traces, "vague": vague})
+
+    settings = AssistSettings(alert_onset=1.5, alert_end=1.2)
+    telling = [with_vague(graded(k, "inattentive", 2.0, 1.0), 1.0) for k in range(2)]
+    # Ours is silent here, and the other rule as loud as before.
+    empty = graded(5, "courteous", 0.1, 1.0)
+    silent = [with_vague(replace(empty, scene="suppress_warn_crossing"), 0.1)]
+    runs = [*telling, *silent]
+    thresholds = thresholds_by_scene(runs, curves_of(runs, settings), settings)
+    there = thresholds["suppress_warn_crossing"]
+    assert there.chosen_on == (telling[0].scene,)
+    assert there.equal_recall["vague"] <= 1.0 < there.equal_rate["vague"]
+    rates = {
+        (one.predictor, one.measure): one.value
+        for one in compare_rules(runs, thresholds, settings)
+        if one.scene == "suppress_warn_crossing" and one.unit == "1/h"
+    }
+    assert rates["hatn", "false_alarms_per_hour_at_equal_recall"] == 0.0
+    assert rates["vague", "false_alarms_per_hour_at_equal_recall"] == 2.0  # one in half an hour
+
+    alone = thresholds_by_scene(silent, curves_of(silent, settings), settings)
+    assert "vague" not in alone["suppress_warn_crossing"].equal_rate
+
+
+def test_the_quietest_threshold_that_recalls_enough() -> None:
+    runs = [graded(1, "courteous", 0.1, 1.0), graded(2, "inattentive", 3.0, 5.0)]
+    curve = sweep(runs, RULE, [3.0, 1.0])
+    quietest = quietest_at(curve, 1.0)
+    assert quietest is not None and quietest.threshold == 3.0
+    assert quietest_at(curve[:0], 0.5) is None
 
 
 def test_runs_are_pooled_over_scenes_and_profiles() -> None:

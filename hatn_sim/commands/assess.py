@@ -3,7 +3,9 @@
 One run for each scene, risk profile and seed, on all cores. HATN looks at all vehicles; its alerts
 are held against collisions (T1) and evasive braking (T2), beside those of simpler rules, each at
 the threshold at which it raises no more false alarms than HATN's does. False alarms are counted
-where drivers are courteous, if that is among the profiles. Finished runs stay in OUT/assessed; the
+where drivers are courteous, if that is among the profiles. Where nothing is to be warned of
+(suppress_warn, no_warn), rules are at thresholds chosen by the other scenes named, so name
+do_warn,suppress_warn,no_warn together. Finished runs stay in OUT/assessed; the
 same command with the same --out goes on where it was stopped.
 
 With --calibrate, what tells the danger of a pair is fitted anew instead, on seeds of its own, and
@@ -19,6 +21,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -43,7 +46,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """examples:
   hatn-sim assess --scenes intersection5,roundabout8 --risk courteous,inattentive --seeds 401-440
-  hatn-sim assess --suite do_warn --seeds 401-440 --json
+  hatn-sim assess --suite do_warn,suppress_warn,no_warn --seeds 401-440 --json
   hatn-sim assess --calibrate
 """
 HELD_OUT: Final = tuple(range(401, 441))
@@ -57,6 +60,10 @@ CALIBRATION_RISKS: Final = ("courteous", "inattentive")
 DURATION_S: Final = 120.0
 SUITE_DURATION_S: Final = 60.0
 NO_EVENTS: Final = "no collision and no evasive braking in these runs"
+WITHOUT: Final = (
+    "recall has no value, and rules beside hatn are left out: there is nothing to choose their "
+    "thresholds by; name scenes or suites with events as well (--suite do_warn,suppress_warn)"
+)
 FALSE_ALARMS_PER_HOUR: Final = 1.0
 RUNS_FOLDER: Final = "assessed"
 SETTINGS_FILE: Final = "assist.toml"
@@ -71,7 +78,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes", type=names, default=(), metavar="A,B", help="names of scenes, or .sumocfg files"
     )
-    parser.add_argument("--suite", choices=SUITES, help="instead: all scenes of a scripted suite")
+    parser.add_argument(
+        "--suite",
+        type=names,
+        default=(),
+        metavar="A,B",
+        help=f"instead: all scenes of scripted suites ({', '.join(SUITES)})",
+    )
     parser.add_argument(
         "--risk",
         type=names,
@@ -274,10 +287,10 @@ def _scenarios(arguments: argparse.Namespace) -> Iterator[Scenario]:
 
     words: Sequence[str] = arguments.scenes
     wanted: Sequence[str] = arguments.risk
-    if arguments.suite is not None:
+    if arguments.suite:
         if words:
-            raise InputError(f"either --suite {arguments.suite} or --scenes; drop one")
-        words = scenes_of_suite(arguments.suite)
+            raise InputError(f"either --suite {','.join(arguments.suite)} or --scenes; drop one")
+        words = [name for suite in arguments.suite for name in scenes_of_suite(suite)]
     elif not words and arguments.calibrate:
         wanted = wanted or CALIBRATION_RISKS
         for word in CALIBRATION_SCENES:
@@ -308,23 +321,30 @@ def _sha256(path: Path | None) -> str | None:
 
 def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun]) -> int:
     from hatn_sim.commands.console import make_console
-    from hatn_sim.evaluation.comparison import compare_rules, curves_of, write_curves
+    from hatn_sim.evaluation.comparison import (
+        compare_rules,
+        curves_of,
+        thresholds_by_scene,
+        write_curves,
+    )
     from hatn_sim.report.assistance_figure import draw_curves
     from hatn_sim.report.assistance_table import assistance_table
     from hatn_sim.report.table import scores_json, write_scores
 
     settings = _settings(arguments)
     curves: dict[str, dict[str, list[Operating]]] = curves_of(runs, settings)
-    scores: list[Score] = compare_rules(runs, curves, settings)
+    thresholds = thresholds_by_scene(runs, curves, settings)
+    scores: list[Score] = compare_rules(runs, thresholds, settings)
     path = write_scores(out, scores)
     write_curves(out / CURVES_FILE, curves)
     draw_curves(curves, [out / name for name in FIGURES])
     if not arguments.quiet and not any(s.n for s in scores if s.measure == "event_recall"):
-        print(f"hatn-sim: {NO_EVENTS}: recall has no value", file=sys.stderr)
+        print(f"hatn-sim: {NO_EVENTS}: {WITHOUT}", file=sys.stderr)
     if arguments.json:
         print(scores_json(scores))
         return 0
-    make_console().print(assistance_table(scores))
+    chosen_on = {scene: of.chosen_on for scene, of in thresholds.items()}
+    make_console().print(assistance_table(scores, chosen_on))
     print(f"scores in {path}, curves in {out / CURVES_FILE} and {out / FIGURES[0]}")
     print(f"runs in {out / RUNS_FOLDER}")
     return 0
@@ -337,7 +357,7 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import HatnSimError, InputError
     from hatn_sim.learn.danger_study import fit_all, held_out_runs
-    from hatn_sim.score.sweep import operating, sharpest_within, sweep, thresholds_of
+    from hatn_sim.score.sweep import best_within, operating, sharpest, sweep, thresholds_of
     from hatn_sim.whole_file import ROOM_OR_OUT, save_whole
 
     if len({run.seed for run in runs}) < 2:
@@ -353,7 +373,8 @@ def _calibrate(arguments: argparse.Namespace, out: Path, runs: Sequence[Assessed
     settings = _settings(arguments)
     judged = held_out_runs(runs, HATN)
     curve = sweep(judged, HATN, thresholds_of(judged, HATN), settings)
-    best = sharpest_within(judged, HATN, curve, arguments.false_alarms, settings)
+    within = partial(best_within, false_alarms_per_hour=arguments.false_alarms)
+    best = sharpest(judged, HATN, curve, within, settings)
     if best is None:
         raise HatnSimError(
             f"no threshold keeps within {arguments.false_alarms:g} false alarms per vehicle-hour; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 from rich.console import Group
@@ -18,8 +19,11 @@ ALERTS: Final = {
     "recall_t2": "of T2",
     "recall_1s5": "1.5 s ahead",
     "lead_time_s": "lead",
+}
+FALSE: Final = {
     "precision": "precision",
     "false_alarms_per_hour": "false/h",
+    "false_alarms_per_hour_at_equal_recall": "same recall",
     "near_alarms_per_hour": "near/h",
     "duplicates": "again",
 }
@@ -44,16 +48,26 @@ WHAT_IF: Final = {
 NONE: Final = "-"
 
 
-def assistance_table(scores: Sequence[Score]) -> Group:
-    """The scores of every scene and risk profile; each value over its 95 % interval."""
+def assistance_table(
+    scores: Sequence[Score], chosen_on: Mapping[str, Sequence[str]] = MappingProxyType({})
+) -> Group:
+    """The scores of every scene and risk profile; each value over its 95 % interval.
+
+    `chosen_on` names, for a scene, other scenes on which the thresholds of rules were chosen.
+    """
     parts: list[Table | Text] = []
     by_key = {(s.scene, s.subset, s.predictor, s.measure): s for s in scores}
     for scene, risk in dict.fromkeys((score.scene, score.subset) for score in scores):
         rules = dict.fromkeys(s.predictor for s in scores if (s.scene, s.subset) == (scene, risk))
         events = by_key.get((scene, risk, next(iter(rules)), "event_recall"))
         count = 0 if events is None else events.n
-        title = f"{scene}, {risk} drivers: alerts on {count} events (T1 and T2)"
-        parts += [_table(title, "rule", list(rules), ALERTS, by_key, scene, risk), Text()]
+        if count:
+            title = f"{scene}, {risk} drivers: alerts on {count} events (T1 and T2)"
+            parts += [_table(title, "rule", list(rules), ALERTS, by_key, scene, risk), Text()]
+        title = f"{scene}, {risk} drivers: false alarms"
+        if chosen_on.get(scene):
+            title += f" at thresholds of {', '.join(chosen_on[scene])}"
+        parts += [_table(title, "rule", list(rules), FALSE, by_key, scene, risk), Text()]
         advised = [rule for rule in rules if (scene, risk, rule, "suggestion_ece") in by_key]
         title = f"{scene}, {risk} drivers: suggestions"
         parts += [_table(title, "of", advised, SUGGESTIONS, by_key, scene, risk), Text()]
@@ -75,7 +89,10 @@ def assistance_table(scores: Sequence[Score]) -> Group:
             "the best slot"
         )
     if any(score.predictor == "oracle" for score in scores):
-        note += "; rules beside hatn: at no more false alarms than it"
+        note += (
+            "; rules beside hatn: at no more false alarms than it; same recall: false/h at the "
+            "threshold where they recall as much, -: they never do"
+        )
     return Group(*parts, Text(note, style="dim"))
 
 

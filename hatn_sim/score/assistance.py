@@ -11,6 +11,8 @@ when the offender first did otherwise than lawfully, if that was later (see `off
 | `recall_t3_rare` | share | of those under the 1 % quantile of courteous drivers in that scene |
 | `precision` | share | hits of hits and false alarms |
 | `false_alarms_per_hour` | 1/h | per hour of a vehicle in view |
+| `false_alarms_per_hour_at_equal_recall` | 1/h | the same at the threshold where a rule recalls \
+as much as ours (`evaluation.comparison`) |
 | `false_alarms_per_100_crossings` | 1 | see `advised` for what a crossing is |
 | `near_alarms_per_hour` | 1/h | alerts that meet only T3 or brief events: neither hit nor false |
 | `lead_time_s`, `_q1`, `_q3` | s | median and quartiles over events that an alert preceded |
@@ -60,6 +62,8 @@ LEADS_S: Final = {"recall_1s0": 1.0, "recall_1s5": 1.5, "recall_2s0": 2.0, "reca
 IN_TIME_S: Final = 1.5
 NEAR_S: Final = {"recall_t3_1s5": 1.5, "recall_t3_1s0": 1.0}
 RARE: Final = "recall_t3_rare"
+FALSE_ALARMS: Final = "false_alarms_per_hour"
+AT_EQUAL_RECALL: Final = "false_alarms_per_hour_at_equal_recall"
 RARE_SHARE: Final = 0.01
 QUARTILES: Final = {"lead_time_s": 0.5, "lead_time_s_q1": 0.25, "lead_time_s_q3": 0.75}
 ALERT, SUGGESTION, ANY = "alert", "suggestion", "any"
@@ -231,8 +235,10 @@ def is_close(event: SafetyEvent) -> bool:
 # Scores
 
 
-def alert_scores(found: Warned, rule: str, scene: str, risk: str) -> list[Score]:
-    """The measures of a rule's alerts."""
+def alert_scores(
+    found: Warned, rule: str, scene: str, risk: str, ratios: Sequence[str] = ()
+) -> list[Score]:
+    """The measures of a rule's alerts, or some of `RATIOS` alone."""
 
     def score(
         measure: str, unit: str, n: float, sums: FloatArray, of: intervals.Statistic
@@ -246,11 +252,14 @@ def alert_scores(found: Warned, rule: str, scene: str, risk: str) -> list[Score]
         return Score(measure, rule, scene, risk, "none", value, unit, int(n), low, high)
 
     scores: list[Score] = []
-    for measure, (top, bottom, unit) in RATIOS.items():
+    for measure in ratios or RATIOS:
+        top, bottom, unit = RATIOS[measure]
         pair = found.counts[:, [_OF[top], _OF[bottom]]]
         of_what = pair[:, 1].sum()
         n = len(pair) if measure in PER_TIME_OR_CROSSINGS and of_what else of_what
         scores.append(score(measure, unit, n, pair, intervals.ratio))
+    if ratios:
+        return scores
     hits, false = found.counts[:, _OF["hits"]], found.counts[:, _OF["false"]]
     judged = np.column_stack([hits, hits + false])
     scores.append(score("precision", "share", judged[:, 1].sum(), judged, intervals.ratio))

@@ -2,13 +2,14 @@
 
 False alarms are counted where drivers are courteous, if such runs are there, else in all; events
 are recalled in all. "At equal false-alarm rate" means: at the threshold that recalls most among
-those with no more false alarms than the rate given, in the runs that are scored. For a baseline
-that is the best choice there is, made with hindsight: the comparison favours baselines.
+those with no more false alarms than the rate given; "at equal recall": at the one with the fewest
+false alarms among those that recall no less. For a baseline that is the best choice there is, made
+with hindsight: the comparison favours baselines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -106,18 +107,29 @@ def best_within(curve: Sequence[Operating], false_alarms_per_hour: float) -> Ope
     )
 
 
-def sharpest_within(
+def quietest_at(curve: Sequence[Operating], event_recall: float) -> Operating | None:
+    """The threshold with the fewest false alarms that recalls so much; None: none does."""
+    enough = [one for one in curve if one.event_recall >= event_recall - ROUNDING]
+    return min(enough, key=lambda one: (one.false_alarms_per_hour, -one.threshold), default=None)
+
+
+def sharpest(
     runs: Sequence[AssessedRun],
     rule: str,
     curve: Sequence[Operating],
-    false_alarms_per_hour: float,
+    choose: Callable[[Sequence[Operating]], Operating | None],
     settings: AssistSettings | None = None,
 ) -> Operating | None:
-    """As `best_within`, looking closer at the thresholds between the best and the next lower."""
-    best = best_within(curve, false_alarms_per_hour)
-    lower = [one.threshold for one in curve if best and one.threshold < best.threshold]
-    if best is None or not lower:
-        return best
-    between = np.geomspace(best.threshold, max(max(lower), SMALLEST), BETWEEN + 2)[1:-1]
-    closer = sweep(runs, rule, [float(one) for one in between], settings)
-    return best_within([*curve, *closer], false_alarms_per_hour)
+    """What `choose` chooses of the curve, looking closer between it and its neighbours."""
+    best = choose(curve)
+    if best is None:
+        return None
+    lower = max((one.threshold for one in curve if one.threshold < best.threshold), default=None)
+    higher = min((one.threshold for one in curve if one.threshold > best.threshold), default=None)
+    between = [
+        float(threshold)
+        for bound in (lower, higher)
+        if bound is not None
+        for threshold in np.geomspace(best.threshold, max(bound, SMALLEST), BETWEEN + 2)[1:-1]
+    ]
+    return choose([*curve, *sweep(runs, rule, between, settings)])
