@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Generator
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads only wait here
 
 import numpy as np
 import pytest
