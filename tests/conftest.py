@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Generator
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads only wait here
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from hypothesis import settings
 
 from hatn_sim.datatypes import Gate, Kind, Lane, Scene
 from hatn_sim.road import Road
+from hatn_sim.simulators import sumo_process
 
 settings.register_profile("still", derandomize=True, deadline=None, max_examples=25)
 settings.load_profile("still")
@@ -90,3 +94,24 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Generator[None, None,
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+class StayingNursery(sumo_process._Nursery):
+    """Has a user more than it is told of."""
+
+    def __init__(self, module: str) -> None:
+        super().__init__(module)
+        self._users = 1
+
+
+@pytest.fixture(autouse=True, scope="module")
+def nursery_that_stays() -> Generator[None, None, None]:
+    """What SUMO's processes are forked from stays until a module's last test, once it is there.
+
+    As in a program that keeps a simulator open; to start it for every test takes half a second.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sumo_process, "_Nursery", StayingNursery)
+        yield
+        for nursery in list(StayingNursery._known.values()):
+            nursery.leave()

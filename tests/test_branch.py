@@ -18,7 +18,6 @@ import pytest
 from hatn_sim.config import Scenario, load_scenario
 from hatn_sim.datatypes import DT_S, Branch, Change, Command, Frame, Lawful, Plan
 from hatn_sim.errors import InputError
-from hatn_sim.simulators.forks import Forks
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_branch import Branches, brakes_hardest
 from hatn_sim.traffic import open_traffic
@@ -364,45 +363,3 @@ def test_braking_as_hard_as_it_can() -> None:
     hardest = np.array([9.0, 9.0, 10.0])
     expected = [[False] * 3, [True, False, False], [False, True, True]]
     assert brakes_hardest(valid, speed_mps, hardest, DT_S).tolist() == expected
-
-
-def test_a_child_reads_on_by_itself_and_opens_and_writes_nothing(tmp_path: Path) -> None:
-    source, target, never = tmp_path / "in.txt", tmp_path / "out.txt", tmp_path / "never.txt"
-    source.write_bytes(b"abcdefghij")
-    forks = Forks(2)
-    with source.open("rb", buffering=0) as reading, target.open("wb", buffering=0) as writing:
-        reading.read(3)
-        writing.write(b"before ")
-
-        def work() -> bytes:
-            writing.write(b"of the child ")
-            try:
-                never.write_bytes(b"")
-            except OSError:
-                return reading.read(4)
-            return b"opened"
-
-        number = forks.start(work)
-        assert reading.read(2) == b"de"
-        assert forks.result(number) == b"defg"
-        assert reading.read(2) == b"fg"
-        writing.write(b"after")
-    assert target.read_bytes() == b"before after"
-    assert not never.exists()
-
-
-def test_children_are_bounded_and_what_fails_is_none() -> None:
-    forks = Forks(2)
-
-    def fail() -> bytes:
-        raise ValueError
-
-    numbers = [forks.start(work) for work in (fail, bytes, lambda: b"x" * 10**6, lambda: b"last")]
-    assert [forks.result(number) for number in reversed(numbers)] == [b"last", b"x" * 10**6] + [
-        None
-    ] * 2
-    slow = [forks.start(lambda: time.sleep(60) or b"") for _ in range(2)]
-    forks.end()
-    assert len(slow) == 2
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)

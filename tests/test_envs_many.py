@@ -41,6 +41,11 @@ STREET = Path(__file__).parent / "nets" / "street.sumocfg"
 MEGABYTES = 2**20
 
 
+@pytest.fixture(autouse=True, scope="module")
+def nursery_that_stays() -> None:
+    """None does: here is asked who is left."""
+
+
 def children(pid: int) -> set[int]:
     """Its processes, and theirs."""
     found: set[int] = set()

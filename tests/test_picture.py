@@ -287,10 +287,10 @@ def test_a_film_of_an_unfinished_run(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", frames=14, finished=False)
     assert not run.finished
     for name in ("one.gif", "two.gif"):
-        draw_animation(run, 9, "eastbound", tmp_path / name, frames=12)
+        draw_animation(run, 9, "eastbound", tmp_path / name, frames=6)
     assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "two.gif").read_bytes()
     film = Image.open(tmp_path / "one.gif")
-    assert (film.n_frames, film.size) == (12, (720, 480))
+    assert (film.n_frames, film.size) == (6, (720, 480))
     frames = [_frame(film, k) for k in range(film.n_frames)]
     assert film.info["duration"] == 100
     colours = {tuple(c) for frame in frames for c in np.unique(frame.reshape(-1, 3), axis=0)}
