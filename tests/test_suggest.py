@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from conftest import crossing_lanes, lane, scene_of
 
-from hatn_sim.assist.choice import Told
 from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.assist.outlook import in_the_way, look_ahead, plausible_travel_m
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, suggest
+from hatn_sim.assist.told import Told
 from hatn_sim.assist.words import names
 from hatn_sim.datatypes import Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
@@ -65,9 +65,16 @@ def advise(
     vehicles: dict[str, tuple[float, float, float, float]],
     chance: list[float],
     state: SuggestionState | None = None,
-    frames: int = 1,
+    frames: int | None = None,
 ) -> tuple[SuggestionState, Suggestion]:
-    """What the ego is told at the last of so many moments that differ in time alone."""
+    """What the ego is told at the last of so many moments that differ in time alone.
+
+    By default at the first if it was told something before, else at the fourth: advice begins when
+    it has been the best for 0.3 s.
+    """
+    if frames is None:
+        told = state.told.get("ego") if state is not None else None
+        frames = 4 if told is None or told.action == "abstain" else 1
     scene, prediction = moment(vehicles, {"ego": chance})
     state = state or SuggestionState()
     found: list[Suggestion] = []
@@ -84,7 +91,7 @@ def test_a_yield_names_whom_to_let_go_and_when() -> None:
     assert told.margin == pytest.approx(0.8)
     # The other's rear bumper is out after 20 + 2.5 + 1 m at 8 m/s, and 0.5 s to spare.
     assert told.text == "Yield to the silver car from the right; go after it in 3.4 s"
-    assert told.target_time_s >= 3.2
+    assert told.target_time_s is not None and told.target_time_s >= 3.2
     assert len(told.profile_mps) == 50 and max(told.profile_mps) <= 10.0
     assert state.told["ego"].slot_id == "ego"
 
@@ -93,8 +100,58 @@ def test_a_pass_is_advised_where_it_is_safe() -> None:
     _, told = advise(OPEN, [0.1, 0.9])
     assert (told.action, told.slot_id, told.feasible) == ("pass", "other", True)
     # 26.5 m to the area: 2.65 s at 10 m/s, 2.16 s at 2 m/s^2 from now on; the jerk is bounded.
-    assert 2.2 < told.target_time_s < 2.65
+    assert told.target_time_s is not None and 2.2 < told.target_time_s < 2.65
     assert told.text == "Pass before the silver car from the left"
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(3, "abstain"), (4, "yield")])
+def test_advice_begins_when_it_has_been_the_best_for_a_while(frames: int, expected: str) -> None:
+    assert advise(TWO, [0.9, 0.1], None, frames)[1].action == expected
+
+
+def test_advice_does_not_begin_that_is_over_before_a_driver_can_react() -> None:
+    # 5 m to the point where the lines cross, at 10 m/s and more.
+    late = {"ego": (0.0, -5.0, NORTH, 10.0), "other": (-58.0, 0.0, 0.0, 5.0)}
+    assert advise(late, [0.1, 0.9])[1].action == "abstain"
+
+
+THREE = TWO | {"third": (0.0, 34.0, -NORTH, 8.0)}
+"""Whom the ego has to let go: one comes 20 m from the right, the other 34 m from the left."""
+SOUTH = Road([*crossing_lanes(), lane("north_south", [(0, 60), (0, -60)], is_connection=True)])
+
+
+def test_a_yield_names_the_same_vehicle_while_it_has_to_be_let_go() -> None:
+    state, said = SuggestionState(), list[tuple[str, str | None, str]]()
+    for frame in range(30):
+        chance = [0.9, 0.08, 0.02] if frame // 3 % 2 else [0.9, 0.02, 0.08]
+        scene, prediction = moment_of(SOUTH, scene_of(0.0, THREE), {"ego": chance})
+        now = replace(scene, time_s=0.1 * frame)
+        state, (one,) = suggest(state, SOUTH, now, prediction, frozenset({"ego"}))
+        said.append((one.action, one.slot_id, one.text.split(";")[0]))
+    assert len(set(said[3:])) == 1 and said[3][0] == "yield"
+    assert said[3][2].endswith("and 1 more")
+    # Without a pause, and at once, of the one who is left.
+    scene, prediction = moment(TWO, {"ego": [0.9, 0.1]})
+    _, (one,) = suggest(state, ROAD, replace(scene, time_s=3.0), prediction, frozenset({"ego"}))
+    assert (one.action, one.slot_id) == ("yield", "other") and "more" not in one.text
+
+
+def test_a_yield_to_one_who_has_gone_is_none_to_whoever_comes_next() -> None:
+    gone = SuggestionState({"ego": Told("ego", "another", "yield", True)})
+    assert advise(TWO, [0.3, 0.7], gone)[1].action == "abstain"
+    assert advise(TWO, [0.9, 0.1], gone)[1].action == "yield"
+
+
+@pytest.mark.parametrize(("since_s", "stays"), [(-0.5, True), (-1.1, False)])
+def test_whether_it_is_feasible_stays_for_a_second_unless_in_danger(
+    since_s: float, stays: bool
+) -> None:
+    told = Told("ego", "other", "yield", True, since_s=since_s)
+    # From 10 m/s to a stand in 14 m takes 3.6 m/s^2, in 10.5 m 4.8.
+    for ego_m, expected in ((-17.5, stays), (-14.0, False)):
+        vehicles = NEAR | {"ego": (0.0, ego_m, NORTH, 10.0)}
+        _, found = advise(vehicles, [0.9, 0.1], SuggestionState({"ego": told}))
+        assert found.feasible == expected, ego_m
 
 
 NEAR = {"ego": (0.0, -14.0, NORTH, 10.0), "other": (-10.0, 0.0, 0.0, 8.0)}
@@ -124,8 +181,11 @@ def test_a_pass_stands_while_it_can_be_given_up_in_comfort() -> None:
 
 def test_whoever_cannot_stop_any_more_clears_the_area() -> None:
     inside = {"ego": (0.0, -4.0, NORTH, 12.0), "other": (-12.0, 0.0, 0.0, 8.0)}
-    _, told = advise(inside, [0.9, 0.1])
+    before = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    _, told = advise(inside, [0.9, 0.1], before)
     assert told.action == "pass" and told.slot_id == "other"
+    # It is past the conflict in a third of a second: who was told nothing is told nothing more.
+    assert advise(inside, [0.9, 0.1])[1].action == "abstain"
 
 
 def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:
@@ -146,12 +206,12 @@ def test_a_safe_pass_is_taken_back_by_silence_after_half_a_second_of_doubt(frame
 def test_a_yield_is_never_followed_by_a_pass_before_the_same_vehicle() -> None:
     state, found = advise(OPEN, [0.97, 0.03])
     assert found.action == "yield"
-    for time_s in (1.0, 1.5, 2.0, 60.0):
+    for time_s in (1.0, 1.5, 2.0, 60.0, 60.3):
         scene, prediction = moment(OPEN, {"ego": [0.1, 0.9]})
         now = replace(scene, time_s=time_s)
         state, (found,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
         # After a minute without a choice it is another encounter.
-        assert found.action == {1.0: "yield", 60.0: "pass"}.get(time_s, "abstain"), time_s
+        assert found.action == {1.0: "yield", 60.3: "pass"}.get(time_s, "abstain"), time_s
 
 
 def test_advice_stands_while_another_slot_is_a_little_better() -> None:
@@ -185,7 +245,15 @@ def test_of_two_told_to_yield_to_one_another_the_likelier_one_is() -> None:
         ({"ego": [0.96, 0.04], "other": [0.97, 0.03]}, ["abstain", "yield"]),
     ):
         scene, prediction = moment(TWO | {"other": (0.0, -32.0, NORTH, 8.0)}, chances)
-        _, found = suggest(SuggestionState(), ROAD, scene, prediction, None)
+        state, found = SuggestionState(), ()
+        for frame in range(4):
+            now = replace(scene, time_s=0.1 * frame)
+            state, found = suggest(state, ROAD, now, prediction, None)
+        assert [one.action for one in sorted(found, key=lambda one: one.ego_id)] == expected
+        # Whoever has been told to yield goes on, though the other becomes the likelier one to.
+        chances = {"ego": chances["other"], "other": chances["ego"]}
+        scene, prediction = moment(TWO | {"other": (0.0, -32.0, NORTH, 8.0)}, chances)
+        _, found = suggest(state, ROAD, replace(scene, time_s=0.4), prediction, None)
         assert [one.action for one in sorted(found, key=lambda one: one.ego_id)] == expected
 
 
@@ -255,11 +323,10 @@ def test_a_leader_who_may_plausibly_stop_is_not_run_into() -> None:
         prediction = replace(
             prediction, goal_weight=weight, goal_mean_m=mean, goal_std_m=np.zeros((3, 2))
         )
-        outlook, chances = look_ahead(ROAD, scene, prediction), prediction.slot_probability
-        assert chances is not None
+        outlook = look_ahead(ROAD, scene, prediction)
         row = np.flatnonzero(outlook.graphs.ego == scene.ids.index("ego"))
         slot = np.flatnonzero(outlook.graphs.focus_mask[row[0]])[1:]
-        passes = slot_profiles(SuggestionState(), outlook, row, slot, chances)
+        passes = slot_profiles(SuggestionState(), outlook, row, slot, slot)
         ways[near_m] = 0.1 * passes.tick_speed_mps()[0, :30].sum()
     # 10 m from bumper to bumper, and 15 m more while it stops.
     assert ways[15.0] < 25.0 < ways[30.0]
@@ -290,7 +357,8 @@ def test_a_nose_is_in_the_way_of_whoever_is_not_there_yet(other_m: float, expect
 
 def test_whoever_has_its_nose_inside_is_not_asked_to_stop_there() -> None:
     vehicles = {"ego": (0.0, -2.0, NORTH, 8.0), "other": (-12.0, 0.0, 0.0, 8.0)}
-    _, told = advise(vehicles, [0.95, 0.05])
+    before = SuggestionState({"ego": Told("other", "other", "pass", True)})
+    _, told = advise(vehicles, [0.95, 0.05], before)
     # It is out after 5.5 m, and the other comes in after 8.5 m.
     assert told.action == "pass" and min(told.profile_mps) > 7.9
 

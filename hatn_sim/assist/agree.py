@@ -8,12 +8,14 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.choice import Why
 from hatn_sim.assist.evade import BRAKE, CLEAR
 from hatn_sim.assist.words import names, words
 from hatn_sim.datatypes import Scene, Suggestion
 
 CONTRARY: Final = {"pass": BRAKE, "yield": CLEAR}
 """What an ego is not told to do while an alert tells it the other."""
+ALERTED: Final = Why.ALERTED.name.lower()
 
 
 def agreeing(
@@ -35,4 +37,10 @@ def agreeing(
 def _silent(suggestion: Suggestion, scene: Scene) -> Suggestion:
     ego, other = (scene.ids.index(name) for name in (suggestion.ego_id, suggestion.slot_id or ""))
     (who,) = names(scene, np.array([ego]), np.array([other]))
-    return replace(suggestion, action="abstain", text=words(who, "abstain"), profile_mps=())
+    return replace(
+        suggestion,
+        action="abstain",
+        text=words(who, "abstain", reason=ALERTED),
+        profile_mps=(),
+        reason=ALERTED,
+    )

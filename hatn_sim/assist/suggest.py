@@ -12,21 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.choice import (
-    ROUNDING_S,
-    STANDING_MPS,
-    Chosen,
-    Likely,
-    Options,
-    Told,
-    Why,
-    choose,
-    likely_slots,
-    weigh_options,
-)
+from hatn_sim.assist.choice import STANDING_MPS, Chosen, Why, choose
+from hatn_sim.assist.likely import Likely, likely_slots
+from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
 from hatn_sim.assist.profile import PROFILE_FRAMES, Profiles, drive
+from hatn_sim.assist.told import ROUNDING_S, Told, recall, remember
 from hatn_sim.assist.words import braking, names, words
 from hatn_sim.datatypes import (
     DT_S,
@@ -83,35 +75,17 @@ def suggest(
     if not len(row):
         return SuggestionState(recent, stopped), ()
     egos_now = [scene.ids[v] for v in graphs.ego[row].tolist()]
-    before = [recent.get(name) for name in egos_now]
+    before = recall([recent.get(name) for name in egos_now], scene, graphs, row, chances)
     outlook = look_ahead(road, scene, prediction, pairs)
     likely = likely_slots(scene, graphs, chances, row, before)
     has_stopped = np.array([name in stopped for name in egos_now])
     options = weigh_options(outlook, row, likely, has_stopped)
     chosen = choose(outlook, row, likely, options, before)
     out = _suggestions(outlook, row, likely, options, chosen)
-    told = recent | {
-        one.ego_id: Told(
-            scene.ids[graphs.rear[e, m]],
-            one.slot_id or "",
-            one.action,
-            one.feasible,
-            doubted_s,
-            _said(old, one),
-            one.time_s,
-        )
-        for one, old, e, m, doubted_s in zip(
-            out, before, row.tolist(), chosen.slot.tolist(), chosen.doubted_s, strict=True
-        )
-    }
-    return SuggestionState(told, stopped), out
-
-
-def _said(before: Told | None, now: Suggestion) -> frozenset[tuple[str, str]]:
-    """All that was said to an ego for as long as it has had a choice."""
-    said = frozenset[tuple[str, str]]() if before is None else before.said
-    pair = (now.action, now.slot_id or "")
-    return said if now.action == "abstain" or pair in said else said | {pair}
+    group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
+    concerns = np.where((chosen.slot > 0)[:, None], group, options.let_go)
+    told = remember(before, scene, graphs, row, concerns, chosen)
+    return SuggestionState(recent | dict(zip(egos_now, told, strict=True)), stopped), out
 
 
 def slot_profiles(
@@ -149,8 +123,7 @@ def _suggestions(
 ) -> tuple[Suggestion, ...]:
     graphs, scene = outlook.graphs, outlook.scene
     rows, goes = np.arange(len(row)), chosen.slot > 0
-    node = np.where(goes, chosen.slot, likely.first)
-    room = outlook.room_m[row, node][:, None]
+    room = outlook.room_m[row, chosen.node][:, None]
     profiles = options.driven.of(np.where(goes, options.of_pass, rows))
     arrival = profiles.arrival_s(room)[:, 0]
     # Beyond the profile nobody goes before the way is open.
@@ -168,7 +141,7 @@ def _suggestions(
         [one if one <= FORESEEN_S else None for one in target.tolist()],
         mean_mps.tolist(),
         chosen.feasible.tolist(),
-        options.let_go.tolist(),
+        options.let_go.sum(axis=1).tolist(),
         braking(scene.speed_mps[ego], speeds, chosen.feasible),
         [Why(one).name.lower() for one in chosen.why.tolist()],
         np.round(speeds, 3).tolist(),

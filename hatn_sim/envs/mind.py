@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from hatn_sim.assist.choice import first_of_others
+from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
 from hatn_sim.datatypes import Advice, FloatArray, Frame, Prediction, Predictor, Scene

@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hatn_sim.assist.choice import first_of_others
 from hatn_sim.assist.evade import CLEAR
+from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.profile import HARD_BRAKING_MPS2, PROFILE_FRAMES
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
