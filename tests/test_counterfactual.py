@@ -318,8 +318,9 @@ def test_a_run_is_not_changed_by_being_judged(
     for line in lines:
         assert not line["lost"] and line["ego_id"]
         if line["about"] == "suggestion":
-            ids = [slot["slot_id"] for slot in line["slots"]]
-            assert line["slot_id"] in ids and ids[0] == line["ego_id"]
+            slots = [(slot["action"], slot["slot_id"]) for slot in line["slots"]]
+            assert (line["action"], line["slot_id"]) in slots and slots[0][0] == "yield"
+            assert line["ego_id"] not in [slot_id for _, slot_id in slots]
             assert line["regret"] >= 0.0
     settings = json.loads((judged / "run.json").read_text())["settings"]["counterfactuals"]
     assert (
