@@ -12,6 +12,7 @@ import jsonschema
 import pytest
 
 from hatn_sim import cli
+from hatn_sim.assist.choice import Why
 from hatn_sim.datatypes import Alert, SafetyEvent, Suggestion
 from hatn_sim.log import read_run
 from hatn_sim.log.schema import (
@@ -36,6 +37,12 @@ COUNTERFACTUALS = jsonschema.Draft202012Validator(shipped(COUNTERFACTUALS_SCHEMA
 
 def validator(line: str) -> jsonschema.Draft202012Validator:
     return jsonschema.Draft202012Validator({**SCHEMA, "$ref": f"#/$defs/{line}"})
+
+
+def test_every_reason_is_in_the_schema_and_explained() -> None:
+    told = SCHEMA["$defs"]["suggestion"]["properties"]["reason"]
+    assert told["enum"] == [one.name.lower() for one in Why]
+    assert all(f"{one}: " in told["description"] for one in told["enum"])
 
 
 def test_it_is_a_schema_of_the_version_of_the_log() -> None:
@@ -83,10 +90,13 @@ def test_other_lines_are_not(wrong: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("action", ["yield", "pass", "abstain"])
 def test_a_suggestion_of_each_action(action: str) -> None:
-    said = Suggestion("a", 1.0, action, "b", 0.9, 0.8, 60.0, 3.0, False, "Wait", (3.0,) * 50)
+    said = Suggestion(
+        "a", 1.0, action, "b", 0.9, 0.8, None, 3.0, False, "Wait", (3.0,) * 50, "held"
+    )
     validator("suggestion_line").validate({"frame": 0, **plain(said)})
     silent = {"target_time_s": None, "advised_speed_mps": None, "profile_mps": []}
     validator("suggestion_line").validate({"frame": 0, **plain(said), **silent})
+    assert not validator("suggestion_line").is_valid({"frame": 0, **plain(said), "reason": ""})
     longer = replace(said, profile_mps=(3.0,) * 51)
     assert not validator("suggestion_line").is_valid({"frame": 0, **plain(longer)})
 
@@ -128,18 +138,20 @@ SUGGESTION: dict[str, Any] = {
     "lost": False,
     "action": "pass",
     "slot_id": "b",
-    "other_id": "b",
 }
 EVENT = SafetyEvent("T2", "a", "b", 12.4, "emergency braking", 0.3)
 CONTACT = SafetyEvent("T1", "a", "b", 12.6, "contact")
 COST = SlotCost(0.0, None, 0.0, 0.5, 0, 0, 0.25)
 JUDGED: dict[str, Any] = {
-    "slots": [{"slot_id": name, **asdict(COST)} for name in ("a", "b")],
+    "slots": [{"action": action, "slot_id": "b", **asdict(COST)} for action in ("yield", "pass")],
     "driver": asdict(COST),
     "driver_action": None,
     "regret": 0.0,
     "always_yield_regret": 2.5,
     "driver_regret": -1.0,
+    "slots_differ": True,
+    "best_total": -0.75,
+    "regret_to_best": 1.0,
 }
 
 
@@ -184,6 +196,12 @@ def test_lines_of_counterfactuals_are_of_the_schema(tmp_path: Path) -> None:
     assert {one["about"] for one in lines} == {"alert", "suggestion"}
     for one in lines:
         COUNTERFACTUALS.validate(one)
+    for one in (one for one in lines if one["about"] == "suggestion"):
+        said = [(slot["action"], slot["slot_id"]) for slot in one["slots"]]
+        totals = [slot["total"] for slot in one["slots"]]
+        own = totals[said.index((one["action"], one["slot_id"]))]
+        assert one["regret"] == own - min(totals)
+        assert one["regret_to_best"] == own - min(*totals, one["driver"]["total"])
 
 
 def test_all_advised_leaves_nobody_to_adapt(capsys: pytest.CaptureFixture[str]) -> None:

@@ -182,6 +182,9 @@ def test_a_contact_costs_most_and_nobody_near_is_no_gap() -> None:
     alone, hit = branch(speeds, starts), branch(speeds, starts, ((101.0, "ego", "other"),))
     free, crashed = slot_costs([alone, hit], "ego", settings)
     assert free.least_gap_s is None and free.total == 0.0
+    assert [(one.tier, one.second_id, one.start_s) for one in crashed.events] == [
+        ("T1", "other", 101.0)
+    ]
     assert crashed.collisions == 1 and crashed.total == pytest.approx(settings.per_collision)
 
 
@@ -202,8 +205,11 @@ def test_samples_have_their_rate_and_repeat() -> None:
 
 def test_the_tally() -> None:
     def suggestion(own: float, driver: str | None) -> dict[str, Any]:
-        slots = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
-        return slots | {"regret": own, "always_yield_regret": 4.0, "driver_regret": 2.0}
+        line = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
+        line |= {"regret": own, "always_yield_regret": 4.0, "driver_regret": 2.0}
+        # The first makes no difference, and is bad either way.
+        slots = [{"total": total, "collisions": own == 1.0} for total in (5.0, own + 4.0)]
+        return line | {"regret_to_best": own + 1.0, "slots": slots}
 
     alerts = [{"about": "alert", "lost": False, "verdict": v} for v in ("useful", "unneeded")]
     lines = [*alerts, suggestion(1.0, "yield"), suggestion(2.0, "pass"), suggestion(3.0, None)]
@@ -211,7 +217,10 @@ def test_the_tally() -> None:
     assert (found.alerts, found.alerts_on_events, found.lost) == (2, 1, 1)
     assert (found.regrets.n, found.regrets.advised, found.regrets.always_yield) == (3, 2.0, 4.0)
     assert (found.regrets_where_differs.n, found.regrets_where_differs.advised) == (1, 2.0)
+    differ = found.regrets_where_slots_differ
+    assert (differ.n, differ.advised, differ.to_best, found.all_collide) == (2, 2.5, 3.5, 1)
     words = tally_words(found, CounterfactualSettings())
+    assert words[2].startswith("2 of these where it matters which slot is taken: mean regret 2.50")
     assert words[0].startswith("counterfactuals: 2 alerts judged: 1 useful, 1 unneeded, 0 harmful")
     assert words[-1].startswith("settings of counterfactuals: reaction_s 1, horizon_s 8")
     assert tally([]).regrets.advised is None
@@ -309,8 +318,9 @@ def test_a_run_is_not_changed_by_being_judged(
     for line in lines:
         assert not line["lost"] and line["ego_id"]
         if line["about"] == "suggestion":
-            ids = [slot["slot_id"] for slot in line["slots"]]
-            assert line["slot_id"] in ids and ids[0] == line["ego_id"]
+            slots = [(slot["action"], slot["slot_id"]) for slot in line["slots"]]
+            assert (line["action"], line["slot_id"]) in slots and slots[0][0] == "yield"
+            assert line["ego_id"] not in [slot_id for _, slot_id in slots]
             assert line["regret"] >= 0.0
     settings = json.loads((judged / "run.json").read_text())["settings"]["counterfactuals"]
     assert (

@@ -416,7 +416,7 @@ def test_suggestions_are_logged_when_they_change(tmp_path: Path) -> None:
     assert [change.frame for change in run.suggestions] == [0, 2, 3, 5]
     assert run.suggestions[0].suggestion == said[0][0]
     later = run.suggestions[1].suggestion
-    assert later is not None and later.action == "pass" and math.isnan(later.target_time_s)
+    assert later is not None and later.action == "pass" and later.target_time_s is None
     assert run.suggestions[2].ego_id == "a" and run.suggestions[2].suggestion is None
     assert run.alerts == ((1, alert),)
 
@@ -501,7 +501,7 @@ def cut_events(run: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (damage_version, "run.json: expected schema version 2, found 99; make the run again"),
+        (damage_version, "run.json: expected schema version 3, found 99; make the run again"),
         (damage_head, "run.json: expected the head of a run's log, found damage"),
         (head_with(predictors=None), "predictors: expected list, found None"),
         (head_with(predictors=[1]), "predictors: expected names, found [1]"),

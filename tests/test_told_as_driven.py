@@ -1,0 +1,92 @@
+"""What is said, advised and driven is one thing: every suggestion of real runs of two scenes."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from hatn_sim.assist.choice import Why
+from hatn_sim.assist.profile import COMFORT_ACCELERATION_MPS2, COMFORT_BRAKING_MPS2
+from hatn_sim.assist.words import braking
+from hatn_sim.commands.chosen_predictors import load_predictors
+from hatn_sim.config import load_scenario
+from hatn_sim.datatypes import Suggestion
+from hatn_sim.loop import Adviser, begin, tick, warm_up
+from hatn_sim.traffic import open_traffic
+
+Said = tuple[float, Suggestion]
+"""The ego's speed, and what it is told."""
+
+
+@pytest.fixture(scope="module", params=["intersection5", "roundabout8"])
+def told(request: pytest.FixtureRequest) -> list[Said]:
+    scenario = load_scenario(request.param, None, "assertive")
+    adviser = Adviser(load_predictors(("hatn",), None, "none", True, frozenset())[0])
+    said: list[Said] = []
+    with open_traffic(scenario) as simulator:
+        frame = warm_up(simulator, simulator.reset(321), 200)
+        state = begin(adviser, simulator.road)
+        for _ in range(80):
+            state, advice = tick(adviser, state, frame)
+            speed = dict(zip(frame.scene.ids, frame.scene.speed_mps.tolist(), strict=True))
+            said += [(speed[one.ego_id], one) for one in advice.suggestions]
+            frame = simulator.step()
+    assert {one.action for _, one in said} >= {"yield", "pass", "abstain"}
+    return said
+
+
+def active(told: list[Said]) -> list[Said]:
+    return [said for said in told if said[1].action != "abstain"]
+
+
+def test_profiles_are_as_smooth_as_is_said(told: list[Said]) -> None:
+    for speed, one in active(told):
+        gained = np.diff([speed, *one.profile_mps]) / 0.1
+        assert gained.max() < COMFORT_ACCELERATION_MPS2 + 0.05
+        hard = -gained.min() > 1.15 * COMFORT_BRAKING_MPS2 + 0.05
+        assert not hard or "rake hard" in one.text
+        if one.text.startswith("Brake hard"):
+            assert -gained[:15].min() > 0.85 * COMFORT_BRAKING_MPS2 - 0.05
+
+
+def test_the_time_in_the_text_is_that_of_the_profile(told: list[Said]) -> None:
+    timed = 0
+    for _, one in active(told):
+        found = re.search(r"in (\d+\.\d) s", one.text)
+        if found is None:
+            continue
+        timed += 1
+        assert one.target_time_s is not None
+        assert float(found[1]) == pytest.approx(one.target_time_s, abs=0.051)
+        # It is not there for good before: whoever is to wait for longer than the profile rolls.
+        assert one.target_time_s <= 10.0 and (one.target_time_s <= 5.0 or one.profile_mps[-1] > 0.0)
+    assert timed > 20
+
+
+def test_the_speed_advised_is_on_the_profile(told: list[Said]) -> None:
+    for _, one in active(told):
+        until_s = 5.0 if one.target_time_s is None else min(one.target_time_s, 5.0)
+        ticks = max(round(until_s / 0.1), 1)
+        # A tick more or less, where the time is half-way between two.
+        means = [np.mean(one.profile_mps[: max(n, 1)]) for n in (ticks - 1, ticks, ticks + 1)]
+        assert min(abs(one.advised_speed_mps - mean) for mean in means) < 1e-3
+
+
+def test_everything_has_a_reason(told: list[Said]) -> None:
+    for_telling = {one.name.lower() for one in (Why.LIKELY, Why.LIKELY_UNSAFE, Why.HELD)}
+    for _, one in told:
+        assert (one.reason in for_telling) == (one.action != "abstain")
+        if one.reason == "likely":
+            assert one.margin >= 0.0
+
+
+def test_hard_braking_is_told_by_when_it_comes() -> None:
+    profiles = np.full((4, 50), 10.0)
+    profiles[1, 5:] -= 0.32  # 3.2 m/s2 for a tick
+    profiles[2, 30:] -= 0.5
+    profiles[3, 2:] -= 0.36
+    speed = np.full(4, 10.0)
+    assert braking(speed, profiles, np.full(4, True)) == ["", "", "later", "now"]
+    assert braking(speed, profiles, np.full(4, False)) == ["", "now", "later", "now"]
