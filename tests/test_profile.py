@@ -127,9 +127,9 @@ def test_bounds_hold_whatever_is_asked_for(rows: list[tuple[float, ...]], random
     assert (a >= -HARD_BRAKING_MPS2).all() and (a <= COMFORT_ACCELERATION_MPS2).all()
     assert (found.speed_mps >= 0.0).all() and (np.diff(found.travelled_m) >= 0.0).all()
     # To let go of the accelerator takes no time.
-    jerk = (a[:, 1:] - np.where(a[:, 1:] < a[:, :-1], np.minimum(a[:, :-1], 0.0), a[:, :-1])) / (
-        np.diff(KNOT_AT_S)
-    )
+    before = np.minimum(a[:, :-1], np.maximum(a[:, 1:], 0.0))
+    before = np.where(a[:, 1:] < a[:, :-1], before, a[:, :-1])
+    jerk = (a[:, 1:] - before) / np.diff(KNOT_AT_S)
     stands = found.speed_mps[:, 1:] == 0.0  # there braking ends at once
     gentle = (found.braking_mps2 <= COMFORT_BRAKING_MPS2)[:, None]
     assert (jerk[~stands] <= COMFORT_JERK_MPS3 + 1e-9).all()
