@@ -66,6 +66,7 @@ class RewardWeights:
     time_s: float = -0.05
     discomfort_s: float = -0.1
     risk_s: float = -0.5
+    lawless: float = -5.0  # what is gained at a stop line or by speeding is less
     collision: float = -10.0
     arrival: float = 3.0
 
