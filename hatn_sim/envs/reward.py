@@ -58,7 +58,9 @@ class Terms:
     def weighted(self, weights: RewardWeights) -> dict[str, float]:
         """What each adds to the reward, by name."""
         return {
-            one.name: getattr(self, one.name) * getattr(weights, one.name) for one in fields(Terms)
+            # Adding 0 makes 0 of -0, which is bad to read.
+            one.name: getattr(self, one.name) * getattr(weights, one.name) + 0.0
+            for one in fields(Terms)
         }
 
 
