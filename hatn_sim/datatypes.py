@@ -311,6 +311,12 @@ class Advice:
     suggestions: tuple[Suggestion, ...]
     alerts: tuple[Alert, ...]
 
+    def __repr__(self) -> str:
+        """Without the arrays of the prediction, which fill the screen."""
+        told = (*self.suggestions, *self.alerts)
+        texts = ", ".join(repr(one.text) for one in told if one.text)
+        return f"Advice([{texts}], {len(self.prediction.ids)} predicted)"
+
 
 @dataclass(frozen=True)
 class Command:
@@ -517,7 +523,9 @@ class Agent(Protocol):
 
     def step(
         self, state: Any, ego_id: str, scene: Scene, advice: Advice
-    ) -> tuple[Any, Command | None]: ...
+    ) -> tuple[Any, Command | None]:
+        """The new state and `Command(ego_id, acceleration_mps2)`; None leaves it be this time."""
+        ...
 
 
 @runtime_checkable

@@ -41,6 +41,7 @@ class Way:
     s_m: float
     last_junction_s_m: float | None  # where it is left; None: there is none
     first_crossing: Crossing | None  # of the whole route; None: it leads through no junction
+    ends_m: Sequence[float]  # where each lane of the route ends
 
     def moved(self, xy_m: FloatArray) -> Way:
         """The vehicle is here [2] now, a frame later."""
@@ -61,7 +62,8 @@ def way_along(road: Road, route: Route, xy_m: FloatArray) -> Way:
     inside = [k for k, lane in enumerate(lanes) if lane.is_connection]
     ends = _ends_m(lanes)
     left = ends[inside[-1]] if inside else None
-    return Way(route, points, _along(points, xy_m), left, _first_crossing(route, inside, ends))
+    first = _first_crossing(route, inside, ends)
+    return Way(route, points, _along(points, xy_m), left, first, ends)
 
 
 def _ends_m(lanes: Sequence[Lane]) -> list[float]:

@@ -80,6 +80,21 @@ class Looks(ConstantVelocity):
         return replace(super().predict(state), xy_m=super().predict(state).xy_m
             + float(self.known.get(state.time_s, state).speed_mps.sum() - state.speed_mps.sum()))
 
+class Turned(ConstantVelocity):
+    """Another order, no number for somebody, and too little probability: three faults."""
+    def predict(self, state):
+        said = super().predict(state)
+        odd = said.xy_m[::-1].copy()
+        first = min(state.ids, default="")
+        odd[[len(odd) > 1 and name == first for name in state.ids[::-1]]] = np.nan
+        return replace(said, ids=said.ids[::-1], xy_m=odd,
+            mode_probability=0.7 * said.mode_probability[::-1])
+
+class Short(ConstantVelocity):
+    def predict(self, state):
+        said = super().predict(state)
+        return replace(said, xy_m=said.xy_m[:, :, :5])
+
 class Hasty:
     def init(self, road): return None
     def step(self, state, ego_id, scene, advice): return state, Command(ego_id, 100.0)
@@ -93,6 +108,10 @@ class Moody:
     def step(self, state, ego_id, scene, advice):
         self.asked += 1
         return state, Command(ego_id, float(self.asked % 7)) if ego_id in scene.ids else None
+
+class Three:
+    def init(self, road): return None
+    def step(self, state, scene, advice): return state, None
 
 class Alone:
     def init(self, road): return None
@@ -124,7 +143,11 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def failed(points: list[Point]) -> dict[str, str]:
-    return {point.name: point.said for point in points if not point.ok}
+    return {point.name: point.said for point in points if not point.ok and point.reached}
+
+
+def hidden(points: list[Point]) -> set[str]:
+    return {point.name for point in points if not point.reached}
 
 
 @pytest.mark.usefixtures("mine")
@@ -171,12 +194,44 @@ def test_an_agent_that_does_not_keep_a_point(
     assert said in failed(points)[point]
 
 
+@pytest.mark.usefixtures("mine")
+def test_a_fault_is_told_once_and_hides_no_other(footage: Footage) -> None:
+    def points_of(name: str) -> list[Point]:
+        made = lambda: load_predictor(f"wrong_ones:{name}")  # noqa: E731
+        return list(check_predictor(made, footage, ConstantVelocity()))
+
+    several = points_of("Turned")
+    said = failed(several)
+    assert "found another order (put right for the points below)" in said.pop(
+        "everybody in the scene, in its order"
+    )
+    assert "is not finite" in said.pop("shapes, dtypes and finite numbers")
+    assert "found a sum of 0.7" in said.pop("probabilities sum to 1")
+    assert said == {} and hidden(several) == {"one vehicle"}
+    short = points_of("Short")
+    first = next(iter(failed(short).values()))
+    assert len(failed(short)) == 1 and "xy_m has shape" in first
+    assert "probabilities sum to 1" in hidden(short)
+
+
+@pytest.mark.usefixtures("mine")
+def test_a_step_of_other_arguments_is_told_by_its_name(footage: Footage) -> None:
+    made = lambda: load_agent("wrong_ones:Three")  # noqa: E731
+    points = list(check_agent(made, footage, (ConstantVelocity(),)))
+    said = failed(points)
+    assert said == {
+        "methods": "expected step(state, ego_id, scene, advice); found step(state, scene, advice); "
+        "give it these arguments, in this order"
+    }
+    assert len(hidden(points)) == len(points) - 1
+
+
 @pytest.mark.parametrize(
     "name", ["sumo_driver", "constant_speed", "idm", "heed", "hatn_planner", "mpc"]
 )
 def test_agents_that_ship_keep_every_point(footage: Footage, name: str) -> None:
     points = list(check_agent(lambda: load_agent(name), footage, (ConstantVelocity(),)))
-    assert failed(points) == {} and len(points) == 9
+    assert failed(points) == {} and len(points) == 10
 
 
 def test_predictors_that_ship_keep_every_point(footage: Footage) -> None:
@@ -206,6 +261,8 @@ def test_the_example_passes_and_the_command_says_so(
     words[1] = "wrong_ones:Sums"
     assert cli.main([*words, "--json"]) == 2
     said = json.loads(capsys.readouterr().out)
-    assert said["failed"] == sum(not point["ok"] for point in said["points"]) == 1
+    wrong = [point for point in said["points"] if not point["ok"]]
+    assert said["failed"] == sum(point["reached"] for point in wrong) == 1
+    assert [point["name"] for point in wrong if not point["reached"]] == ["one vehicle"]
     assert cli.main(["check-predictor", "hatm"]) == 2
     assert "did you mean 'hatn'" in capsys.readouterr().err

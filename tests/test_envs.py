@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -299,6 +301,17 @@ def test_how_far_along_its_way() -> None:
     ("options", "said"),
     [
         ({"scenne": "x"}, "unknown option 'scenne'; did you mean 'scene'"),
+        ({"speed": 3}, "unknown option 'speed'; known: scene, tracks, map"),
+        ({"scene": "roundabout-v9"}, "did you mean 'roundabout-v1'"),
+        ({"scene": str(STREET), "density": "heavy"}, "density heavy is for scenes with a scenario"),
+        ({"tracks": __file__}, "they were driven on: add map='FILE'"),
+        ({"scene": "intersection5", "predictor": "hatm"}, "(your own: predictor='module:Class')"),
+        ({"scene": "intersection5", "predictor": None, "advice": True}, "advice: True needs a"),
+        ({"scene": str(STREET), "warm_up_s": 600.0}, "of street, which ends after 600 s"),
+        (
+            {"scene": "roundabout8", "registered_as": "hatn_sim/Intersection-v0"},
+            "hatn_sim/Intersection-v0 is intersection5, found 'roundabout8'; make hatn_sim/Scene",
+        ),
         ({}, "expected either scene or tracks, found neither"),
         ({"scene": "intersection"}, "unknown scene 'intersection'; did you mean 'intersection5'"),
         ({"scene": "intersection5", "risk": "rude"}, "unknown risk 'rude'"),
@@ -325,6 +338,7 @@ def test_options_that_are_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises(OptionError) as told:
         SceneEnv(**{"predictor": "constant_velocity", **options})
     assert said in str(told.value) and "\n" not in str(told.value)
+    assert "--" not in str(told.value)  # nobody is at a command line
 
 
 def test_options_that_are_named_keep_the_others() -> None:
@@ -409,9 +423,17 @@ def test_out_of_turn(make: Any) -> None:
 
 
 def test_an_ego_that_never_comes(make: Any) -> None:
-    env = make(scene=str(STREET), predictor=None, ego_id="nobody")
-    with pytest.raises(EgoError, match="'nobody' did not come on the road"):
+    with pytest.raises(EgoError, match="nobody called 'nobody' is in the route files of street"):
+        make(scene=str(STREET), predictor=None, ego_id="nobody")
+    env = make(scene="highway_intersection", predictor=None, ego="taken_over", ego_id="nobody")
+    with pytest.raises(EgoError, match=r"did not come on the road in the 600 s .* where waiting"):
         env.reset(seed=1)
+    late = make(scene=str(STREET), predictor=None, warm_up_s=599.9, ego="taken_over")
+    with pytest.raises(EgoError, match=r"where the scene is over; choose a shorter warm_up_s$"):
+        late.reset(seed=1)
+    empty = make(**REPLAY | {"warm_up_s": 3000.0, "predictor": None})
+    with pytest.raises(EgoError, match=r"it was over at .* within the warm-up of 3000 s"):
+        empty.reset(seed=1)
     replay = make(**REPLAY | {"ego_id": "nobody", "predictor": None})
     with pytest.raises(InputError, match="there is no vehicle 'nobody' to take over"):
         replay.reset(seed=1)
@@ -594,3 +616,18 @@ def test_pictures(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_registered_names() -> None:
     assert set(hatn_sim.envs.SCENES) <= set(gymnasium.registry)
+    with pytest.raises(OptionError, match="make hatn_sim/Scene-v0 for others"):
+        gymnasium.make("hatn_sim/Roundabout-v0", scene="intersection5", predictor=None)
+
+
+def test_the_options_are_there_once_the_package_is() -> None:
+    code = "import hatn_sim.envs; print(hatn_sim.envs.options.__doc__)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "| `frames_per_step` | 5 |" in told.stdout
+
+
+def test_info_can_be_read(make: Any) -> None:
+    env = make(**CROSSING)
+    _, info = env.reset(seed=2)
+    assert len(repr(info)) < 1000
+    assert repr(info["seen"]).startswith("Seen('ego' at ") and "predicted)" in repr(info["seen"])

@@ -34,6 +34,7 @@ from hatn_sim.envs.vector_env import SceneVectorEnv
 from hatn_sim.errors import SimulatorError
 from hatn_sim.simulators import sumo_process
 from hatn_sim.simulators.sumo import SumoSimulator
+from hatn_sim.simulators.sumo_process import _Nursery
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
 SHORT = {"predictor": None, "warm_up_s": 2.0, "scene": "intersection5"}
@@ -200,7 +201,7 @@ def test_a_refused_action_leaves_all_as_they_were(many: Any) -> None:
     before = vector.get_attr("_episode")
     masks = vector.action_masks()
     assert masks.shape == (2, 8) and masks[:, 0].all()
-    with pytest.raises(MaskedActionError):
+    with pytest.raises(MaskedActionError, match="environment 1: action: slot 7 is not there"):
         vector.step(np.array([0, 7]))
     with pytest.raises(ActionShapeError, match="each of 2 environments, found 3"):
         vector.step(np.array([0, 0, 0]))
@@ -388,6 +389,27 @@ def test_ctrl_c_while_a_worker_is_forked(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @LINUX
+def test_a_fork_is_not_kept_waiting_by_what_another_thread_held() -> None:
+    """Whoever is forked while a worker is being started starts workers all the same."""
+    with _Nursery._lock:
+        pid = os.fork()
+        if pid == 0:
+            free = _Nursery._lock.acquire(timeout=1.0)
+            os._exit(0 if free and not _Nursery._known else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+def test_elsewhere_than_where_it_was_tried_nothing_is_forked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sumo_process, "FORKS", False)
+    monkeypatch.setattr(_Nursery, "shared", None)
+    with SumoSimulator(load_scenario("tjunction")) as simulator:
+        first = simulator.reset(1)
+        assert simulator.worker_pid is not None
+    assert not first.done
+
+
 def test_no_room_for_one_more() -> None:
     import resource  # not on every platform
 

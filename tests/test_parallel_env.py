@@ -146,7 +146,7 @@ def test_every_agent_observes_what_a_single_ego_would_in_its_place(
         steps.append(observed)
     assert set(observed) == {"ego", "ego2", "ego3"} and not any(i["end"] for i in infos.values())
     for name in many.possible_agents:
-        single = SceneEnv(**options | {"warm_up_s": 0.0}, ego="taken_over", ego_id=name)
+        single = SceneEnv(**options | {"warm_up_s": 0.0}, ego="taken_over")
         single._simulator = Played(frames, Road(many._simulator.lanes))
         monkeypatch.setattr(
             "hatn_sim.envs.scene_env.begin_episode",

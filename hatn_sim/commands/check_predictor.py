@@ -2,7 +2,10 @@
 
 NAME is module:Class, looked for in the working directory first, or the name of one that ships. It
 is tried on a few seconds of two scenes. Every point is one line; where it fails, it says what was
-expected, what was found and what to do. The exit code is 2 if a point failed.
+expected, what was found and what to do. A fault is told once: points that it hides are "not
+reached". An agent has init(road), which returns its first state, and
+step(state, ego_id, scene, advice), which returns its new state and a Command or None (the
+simulator drives). The exit code is 2 if a point failed.
 """
 
 from __future__ import annotations
@@ -46,19 +49,28 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.conformance.scenes import SCENES, film
 
     said: list[dict[str, object]] = []
-    failed = 0
+    failed = hidden = 0
     for scene in arguments.scenes or SCENES:
         for point in _points(arguments, film(scene)):
-            failed += not point.ok
+            failed += not point.ok and point.reached
+            hidden += not point.reached
             said.append({"scene": scene, **asdict(point)})
             if not arguments.json:
                 told = f": {point.said}" if point.said else ""
-                print(f"{'ok    ' if point.ok else 'FAILED'}  {scene}, {point.name}{told}")
+                print(f"{_mark(point)}  {scene}, {point.name}{told}")
     if arguments.json:
         print(json.dumps({"name": arguments.name, "failed": failed, "points": said}, indent=2))
     else:
-        print(f"{arguments.name}: " + (f"{failed} points failed" if failed else "all points kept"))
+        also = f", {hidden} not reached" if hidden else ""
+        result = f"{failed} points failed{also}" if failed else "all points kept"
+        print(f"{arguments.name}: {result}")
     return FAILED if failed else 0
+
+
+def _mark(point: Point) -> str:
+    if not point.reached:
+        return "not reached"
+    return "ok    " if point.ok else "FAILED"
 
 
 def _points(arguments: argparse.Namespace, footage: Footage) -> Iterator[Point]:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hatn_sim.conformance.points import BrokenError, Point, point
+from hatn_sim.conformance.points import BrokenError, Point, Told, check_methods
 from hatn_sim.conformance.scenes import (
     Footage,
     alone,
@@ -21,6 +21,7 @@ from hatn_sim.conformance.scenes import (
 from hatn_sim.datatypes import Advice, Agent, Command, Frame, Guided, Predictor, Scene
 from hatn_sim.loop import Adviser, begin, check_command, guided, tick
 
+METHODS: Final = {"init": ("road",), "step": ("state", "ego_id", "scene", "advice")}
 SAME_MPS2: Final = 1e-3
 
 
@@ -28,8 +29,9 @@ def check_agent(
     make: Callable[[], Agent], footage: Footage, advisers: Sequence[Predictor]
 ) -> Iterator[Point]:
     """Every point in turn, of an agent that `make` makes, advised by each of `advisers`."""
-    agent, frames = make(), footage.frames
-    plain = advisers[0]
+    agent, frames, told = make(), footage.frames, Told()
+    point, plain = told.point, advisers[0]
+    yield told.first("methods", lambda: check_methods(agent, METHODS))
     for adviser in advisers:
         yield point(
             f"commands, advised by {adviser.name}",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from hatn_sim.conformance.points import BrokenError, Point, point
+from hatn_sim.conformance.mending import ALL, Fault, mended
+from hatn_sim.conformance.points import BrokenError, Point, Told, check_methods, tried
 from hatn_sim.conformance.scenes import (
     Footage,
     alone,
@@ -25,6 +26,13 @@ from hatn_sim.loop import check_prediction
 SUM_TOLERANCE: Final = 1e-4
 SAME_M: Final = 1e-3
 """float32 products depend on the order and number of what is predicted at once."""
+METHODS: Final = {
+    "init": ("road",),
+    "observe": ("state", "scene", "routes"),
+    "predict": ("state",),
+}
+ORDER: Final = "everybody in the scene, in its order"
+FORM: Final = "shapes, dtypes and finite numbers"
 _FLOATS: Final = ("xy_m", "mode_probability", "goal_weight", "goal_mean_m", "goal_std_m")
 
 
@@ -32,20 +40,30 @@ def check_predictor(
     make: Callable[[], Predictor], footage: Footage, own: Predictor
 ) -> Iterator[Point]:
     """Every point in turn, of a predictor that `make` makes; `own` is HATN, to compare times."""
-    predictor = make()
+    predictor, told = make(), Told()
+    faults: set[Fault] = set(ALL)  # that are put right, once they are told
 
     def run(scenes: Sequence[Scene], again: Predictor = predictor) -> list[Prediction]:
-        return predict_all(again, footage, scenes)[1]
+        return predict_all(again, footage, scenes, faults)[1]
 
-    scenes = footage.scenes
+    point, scenes = told.point, footage.scenes
+    single = alone(scenes, footage.longest)
+    yield told.first("methods", lambda: check_methods(predictor, METHODS))
     yield point("name", lambda: _check_name(predictor))
-    # First, while nothing that comes later has been shown in any run.
-    yield point("no peeking at what comes", lambda: _check_peeking(run, scenes))
-    yield point("shapes, dtypes and finite numbers", lambda: _each(run(scenes), _check_form))
+    # Tried first, while nothing that comes later has been shown in any run.
+    peeking = tried("no peeking at what comes", lambda: _check_peeking(run, scenes))
+    faults.clear()
+    yield (order := point(ORDER, lambda: _check_everybody(predictor, footage)))
+    if not order.ok:
+        faults.add("order")
+    yield (form := point(FORM, lambda: _each(run(scenes), _check_form)))
+    if not form.ok:
+        faults.add("finite")
+    yield told.take(peeking)
     yield point("probabilities sum to 1", lambda: _each(run(scenes), _check_probabilities))
     yield point("goal distributions are distributions", lambda: _each(run(scenes), _check_goals))
     yield point("an empty scene", lambda: _each(run(nobody(scenes)), _check_form))
-    yield point("one vehicle", lambda: _each(run(alone(scenes, footage.longest)), _check_form))
+    yield point("one vehicle", lambda: _each(run(single), _check_whole))
     yield point(
         "a vehicle that goes and comes back",
         lambda: _each(run(coming_and_going(scenes, footage.longest)), _check_form),
@@ -54,28 +72,59 @@ def check_predictor(
     yield point(
         "the same of a new one", lambda: _same(run(scenes), run(scenes, make()), "a new instance")
     )
-    yield point("memory is handed out", lambda: _check_memory(predictor, footage))
+    yield point("memory is handed out", lambda: _check_memory(predictor, footage, faults))
     yield point("input is left as it is", lambda: _check_input(predictor, footage))
     yield point("the order of vehicles is without effect", lambda: _check_order(run, scenes))
-    yield point("routes are taken where they are given", lambda: _check_routes(predictor, footage))
+    yield point(
+        "routes are taken where they are given", lambda: _check_routes(predictor, footage, faults)
+    )
     yield point("time", lambda: _time(predictor, own, footage))
 
 
 def predict_all(
-    predictor: Predictor, footage: Footage, scenes: Sequence[Scene]
+    predictor: Predictor,
+    footage: Footage,
+    scenes: Sequence[Scene],
+    faults: Collection[Fault] = (),
 ) -> tuple[list[Any], list[Prediction]]:
-    """The memories and predictions of every scene in turn, from nothing seen on."""
+    """The memories and predictions of every scene in turn, from nothing seen on.
+
+    `faults` of them are put right. Raises InputError where one is wrong all the same.
+    """
     state = predictor.init(fresh(footage.road))
     states: list[Any] = []
     predictions: list[Prediction] = []
     for scene in scenes:
         given = copy_of(scene)  # what is written into it is another point's affair
         state = predictor.observe(state, given, None)
-        prediction = predictor.predict(state)
+        prediction = mended(predictor.predict(state), scene, faults)
         check_prediction(getattr(predictor, "name", "?"), prediction, scene)
         states.append(state)
         predictions.append(prediction)
     return states, predictions
+
+
+def _check_everybody(predictor: Predictor, footage: Footage) -> None:
+    state = predictor.init(fresh(footage.road))
+    for scene in footage.scenes:
+        state = predictor.observe(state, copy_of(scene), None)
+        prediction: Any = predictor.predict(state)
+        if not isinstance(prediction, Prediction):
+            raise BrokenError(
+                "predict to return a Prediction",
+                type(prediction).__name__,
+                "return hatn_sim.datatypes.Prediction",
+            )
+        if prediction.ids == scene.ids:
+            continue
+        if sorted(prediction.ids) == sorted(scene.ids):
+            raise BrokenError(
+                "the ids of the scene, in its order",
+                "another order (put right for the points below)",
+                "return ids=scene.ids and rows in that order",
+            )
+        found = f"{len(prediction.ids)} of {len(scene.ids)}, or others"
+        raise BrokenError("the ids of the scene, all of them", found, "predict for everybody")
 
 
 def _each(predictions: list[Prediction], check: Callable[[Prediction], str | None]) -> None:
@@ -125,6 +174,11 @@ def _check_probabilities(prediction: Prediction) -> None:
         raise BrokenError("slot_probability 0 off the focus", f"{beyond:.3g}", "mask it")
 
 
+def _check_whole(prediction: Prediction) -> None:
+    _check_form(prediction)
+    _check_probabilities(prediction)
+
+
 def _check_sums(part: str, values: FloatArray) -> None:
     if not len(values):
         return
@@ -172,10 +226,10 @@ def _differs_in(one: Prediction, two: Prediction, within: float) -> str | None:
     return None
 
 
-def _check_memory(predictor: Predictor, footage: Footage) -> None:
-    states, predictions = predict_all(predictor, footage, footage.scenes)
+def _check_memory(predictor: Predictor, footage: Footage, faults: Collection[Fault]) -> None:
+    states, predictions = predict_all(predictor, footage, footage.scenes, faults)
     for frame in (0, len(states) // 2):
-        again = predictor.predict(states[frame])
+        again = mended(predictor.predict(states[frame]), footage.scenes[frame], faults)
         if again.ids != predictions[frame].ids or _differs_in(again, predictions[frame], SAME_M):
             raise BrokenError(
                 f"the memory of frame {frame} to predict, later, what it did then",
@@ -225,11 +279,11 @@ def _check_order(
             )
 
 
-def _check_routes(predictor: Predictor, footage: Footage) -> None:
-    state = predictor.init(fresh(footage.road))
-    for frame in footage.frames[:12]:
+def _check_routes(predictor: Predictor, footage: Footage, faults: Collection[Fault]) -> None:
+    state, frames = predictor.init(fresh(footage.road)), footage.frames[:12]
+    for frame in frames:
         state = predictor.observe(state, copy_of(frame.scene), frame.truth.routes)
-    _check_form(predictor.predict(state))
+    _check_form(mended(predictor.predict(state), frames[-1].scene, faults))
 
 
 def _time(predictor: Predictor, own: Predictor, footage: Footage) -> str:

@@ -4,7 +4,7 @@
 |---|---|
 | `hatn_sim/Intersection-v0` | `intersection5`, a five-arm all-way stop |
 | `hatn_sim/Roundabout-v0` | `roundabout8`, eight arms, one lane |
-| `hatn_sim/Scene-v0` | the one named by `scene` or `tracks` |
+| `hatn_sim/Scene-v0` | any, named by `scene` or `tracks` |
 
     import gymnasium
     import hatn_sim.envs
@@ -24,16 +24,18 @@ from typing import Final
 
 from gymnasium.envs.registration import register
 
+from hatn_sim.envs import options as options  # so that help(hatn_sim.envs.options) finds it
+
 SCENES: Final = {
     "hatn_sim/Intersection-v0": {"scene": "intersection5"},
     "hatn_sim/Roundabout-v0": {"scene": "roundabout8"},
     "hatn_sim/Scene-v0": {},
 }
 
-for _name, _options in SCENES.items():
+for _name, _kwargs in SCENES.items():
     register(
         _name,
         entry_point="hatn_sim.envs.scene_env:SceneEnv",
         vector_entry_point="hatn_sim.envs.vector_env:SceneVectorEnv",
-        kwargs=_options,
+        kwargs=_kwargs | ({"registered_as": _name} if _kwargs else {}),
     )

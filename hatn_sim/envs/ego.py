@@ -42,6 +42,11 @@ def begin_episode(
         ego_id = _cast(simulator, seed, ego_id, random)
     last = deque(warmed_up(simulator, simulator.reset(seed), warm_up_frames), HISTORY_FRAMES)
     frame = last[-1]
+    if frame.done and warm_up_frames:
+        raise EgoError(
+            f"{simulator.name}: it was over at {frame.scene.time_s:.1f} s, within the warm-up of "
+            f"{warm_up_frames * DT_S:g} s; choose a shorter warm_up_s"
+        )
     if ego == "spawned":
         ego_id = SPAWNED
         _spawn(simulator, (SPAWNED,), last, random)
@@ -97,7 +102,7 @@ def _wait(
     waited = 0
     while not (here := come(last[-1])):
         if last[-1].done or waited == most:
-            raise _never(simulator, ego_id, last[-1].scene.time_s, known)
+            raise _never(simulator, ego_id, last[-1], waited * DT_S, known)
         last.append(simulator.step())
         known.update(last[-1].scene.ids)
         waited += 1
@@ -164,8 +169,15 @@ def _cast(simulator: SumoReplay, seed: int, ego_id: str | None, random: np.rando
     return ego_id
 
 
-def _never(simulator: Simulator, ego_id: str | None, time_s: float, known: set[str]) -> EgoError:
+def _never(
+    simulator: Simulator, ego_id: str | None, last: Frame, waited_s: float, known: set[str]
+) -> EgoError:
     who, hint = "anybody new", ""
     if ego_id is not None:
-        who, hint = repr(ego_id), nearest(ego_id, known)
-    return EgoError(f"{simulator.name}: until {time_s:.1f} s, {who} did not come on the road{hint}")
+        who = repr(ego_id)
+        hint = "" if ego_id == SPAWNED else nearest(ego_id, known)
+    why = "where the scene is over" if last.done else "where waiting ends"
+    return EgoError(
+        f"{simulator.name}: {who} did not come on the road in the {waited_s:g} s from the end of "
+        f"the warm-up to {last.scene.time_s:.1f} s, {why}{hint or '; choose a shorter warm_up_s'}"
+    )

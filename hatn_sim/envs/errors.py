@@ -5,9 +5,20 @@ Those that gymnasium has a type for are of that type, too.
 
 from __future__ import annotations
 
+import re
+from typing import Final
+
 import gymnasium
 
 from hatn_sim.errors import InputError
+
+_VALUES: Final = re.compile(r"--(\w+) (module:Class|FILE)")
+_FLAGS: Final = re.compile(r"--(\w+)")
+
+
+def in_python(said: object) -> str:
+    """What is said to users of commands, for those of environments: options have no dashes."""
+    return _FLAGS.sub(r"\1", _VALUES.sub(r"\1='\2'", str(said)))
 
 
 class OptionError(InputError):

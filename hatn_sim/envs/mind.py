@@ -12,7 +12,7 @@ from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
 from hatn_sim.datatypes import Advice, FloatArray, Frame, Prediction, Predictor, Scene
-from hatn_sim.envs.errors import OptionError
+from hatn_sim.envs.errors import OptionError, in_python
 from hatn_sim.envs.observation import Sight
 from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
@@ -72,7 +72,7 @@ def predictor_of(named: str | Predictor | None) -> Predictor | None:
     try:
         return load_predictor(named)
     except InputError as error:
-        raise OptionError(f"predictor: {error}") from None
+        raise OptionError(f"predictor: {in_python(error)}") from None
 
 
 def open_mind(

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import Any, Final, get_args, get_origin, get_type_hints
@@ -50,6 +51,8 @@ CHOICES: Final = {
     "masked_action": ("refuse", "yield"),
     "until": ("crossed", "end"),
 }
+SAME_WORD: Final = 0.7
+"""Words that are less like an option are no slip of the pen."""
 RANGES: Final = {
     "frames_per_step": (1, 50),
     "warm_up_s": (0.0, 3600.0),
@@ -66,6 +69,7 @@ class RewardWeights:
     time_s: float = -0.05
     discomfort_s: float = -0.1
     risk_s: float = -0.5
+    lawless: float = -5.0  # what is gained at a stop line or by speeding is less
     collision: float = -10.0
     arrival: float = 3.0
 
@@ -114,8 +118,14 @@ def read_options(given: Mapping[str, Any]) -> EnvOptions:
     known = [one.name for one in fields(EnvOptions)]
     for key in given:
         if key not in known:
-            raise OptionError(f"unknown option {key!r}{nearest(key, known)}")
+            near = get_close_matches(key, known, cutoff=SAME_WORD)
+            hint = nearest(key, near) if near else f"; known: {', '.join(known)}"
+            raise OptionError(f"unknown option {key!r}{hint}")
     values = dict(given)
+    if values.get("advice") and values.get("predictor", EnvOptions.predictor) is None:
+        raise OptionError(
+            "advice: True needs a predictor, found None; name one, or leave advice out"
+        )
     if "reward" in values:
         values["reward"] = _weights(values["reward"])
     hints = get_type_hints(EnvOptions)

@@ -2,12 +2,15 @@
 
 | term | unit | what is counted, summed over the frames of a step |
 |---|---|---|
-| `progress_m` | m | along the way that the ego really drives |
+| `progress_m` | m | along the way that the ego really drives; where it has been before, on its \
+way there from another one, does not count again |
 | `time_s` | s | |
 | `discomfort_s` | s | square of the ego's acceleration over `COMFORT_MPS2`, at most \
 `MOST_DISCOMFORT`, times the time |
 | `risk_s` | s | time in which anybody within `NEAR_M` of the ego, or itself, brakes hard: from 0 \
 at `HARD_MPS2` to 1 at `HARDEST_MPS2`, and 1 where the simulator says emergency |
+| `lawless` | 1 | 1 for a stop line passed without a stop at it, or a closed signal that it \
+could have stopped for; and for speed above 1.1 times the limit, 1 a second at 2.1 times of it |
 | `collision` | 1 | the ego has touched somebody |
 | `arrival` | 1 | the ego has arrived |
 """
@@ -37,6 +40,7 @@ class Terms:
     time_s: float = 0.0
     discomfort_s: float = 0.0
     risk_s: float = 0.0
+    lawless: float = 0.0
     collision: float = 0.0
     arrival: float = 0.0
 
@@ -46,6 +50,7 @@ class Terms:
             self.time_s + other.time_s,
             self.discomfort_s + other.discomfort_s,
             self.risk_s + other.risk_s,
+            self.lawless + other.lawless,
             self.collision + other.collision,
             self.arrival + other.arrival,
         )
@@ -53,11 +58,20 @@ class Terms:
     def weighted(self, weights: RewardWeights) -> dict[str, float]:
         """What each adds to the reward, by name."""
         return {
-            one.name: getattr(self, one.name) * getattr(weights, one.name) for one in fields(Terms)
+            # Adding 0 makes 0 of -0, which is bad to read.
+            one.name: getattr(self, one.name) * getattr(weights, one.name) + 0.0
+            for one in fields(Terms)
         }
 
 
-def terms_of(before: Frame, after: Frame, ego_id: str, progress_m: float, arrived: bool) -> Terms:
+def terms_of(
+    before: Frame,
+    after: Frame,
+    ego_id: str,
+    progress_m: float,
+    arrived: bool,
+    lawless: float = 0.0,
+) -> Terms:
     """The terms of one frame; the ego is in `before`."""
     scene = before.scene
     acceleration = (_speed_mps(scene, after.scene) - scene.speed_mps) / DT_S
@@ -75,6 +89,7 @@ def terms_of(before: Frame, after: Frame, ego_id: str, progress_m: float, arrive
         time_s=DT_S,
         discomfort_s=DT_S * min((float(acceleration[ego]) / COMFORT_MPS2) ** 2, MOST_DISCOMFORT),
         risk_s=DT_S * (1.0 if is_emergency else share),
+        lawless=lawless,
         collision=float(has_collided(after, ego_id)),
         arrival=float(arrived),
     )

@@ -8,10 +8,8 @@ import gymnasium
 import numpy as np
 
 from hatn_sim.datatypes import DT_S, BoolArray
-from hatn_sim.envs.action import (
-    Slots,
-    action_space,
-)
+from hatn_sim.envs import SCENES
+from hatn_sim.envs.action import Slots, action_space
 from hatn_sim.envs.driving import driven, plan_of
 from hatn_sim.envs.ego import begin_episode
 from hatn_sim.envs.episode import TERMINAL, Episode
@@ -24,7 +22,7 @@ from hatn_sim.envs.observation import (
 from hatn_sim.envs.options import read_options
 from hatn_sim.envs.reward import Terms
 from hatn_sim.envs.shown import info_of, observation_of, slots_now
-from hatn_sim.envs.traffic import ego_of, scenario_of, warm_up_s
+from hatn_sim.envs.traffic import check_scene, ego_of, scenario_of, warm_up_s
 from hatn_sim.envs.turns import Turn, taken
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
 from hatn_sim.simulators.sumo_config import MAX_SEED
@@ -67,12 +65,19 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         "render_fps": 10,
     }
 
-    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """Raises OptionError or another InputError for what is wrong with the options."""
+    def __init__(
+        self, render_mode: str | None = None, registered_as: str | None = None, **options: Any
+    ) -> None:
+        """`registered_as` is the name by which it is made, where that stands for one scene.
+
+        Raises OptionError or another InputError for what is wrong with the options.
+        """
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             raise OptionError(f"render_mode: expected one of {modes}, found {render_mode!r}")
         self.options = read_options(options)
+        if registered_as is not None:
+            check_scene(registered_as, SCENES[registered_as]["scene"], self.options)
         self.scenario = scenario_of(self.options)
         self.render_mode = render_mode
         self.metadata = self.metadata | {

@@ -21,6 +21,11 @@ class Seen:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Seen) and _same(self, other)
 
+    def __repr__(self) -> str:
+        said = "nothing predicted" if self.advice is None else repr(self.advice)
+        count, time_s = len(self.scene.ids), self.scene.time_s
+        return f"Seen({self.ego_id!r} at {time_s:.1f} s, {count} vehicles, {said})"
+
     __hash__ = None  # type: ignore[assignment]  # equal by content that can be changed
 
 

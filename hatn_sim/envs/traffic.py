@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Final
 
 from hatn_sim.config import HighwaySource, ReplaySource, Scenario, load_scenario, load_tracks
-from hatn_sim.envs.errors import OptionError
+from hatn_sim.envs.demand import coming, lasts_s
+from hatn_sim.envs.errors import EgoError, OptionError, in_python
 from hatn_sim.envs.options import EnvOptions
-from hatn_sim.errors import InputError
+from hatn_sim.errors import InputError, nearest
+from hatn_sim.resources import find_scenarios
 
 WARM_UP_S: Final = 60.0
 """Scenes that ship begin empty."""
@@ -36,14 +38,44 @@ def scenario_of(options: EnvOptions) -> Scenario:
             "warm_up_s: the ego of highway-env is on the road from the beginning; leave it out, "
             "or choose ego='taken_over'"
         )
+    _check_coming(scenario, options)
     return scenario
+
+
+def check_scene(registered_as: str, own: str, options: EnvOptions) -> None:
+    """Raises OptionError where another scene is named than the one that a name stands for."""
+    given = options.tracks if options.scene is None else options.scene
+    name = given.name if isinstance(given, Scenario) else given
+    if options.tracks is not None or name != own:
+        raise OptionError(
+            f"scene: {registered_as} is {own}, found {name!r}; make hatn_sim/Scene-v0 for others"
+        )
+
+
+def _check_coming(scenario: Scenario, options: EnvOptions) -> None:
+    """Refuses a warm-up and an ego of which the scene itself says that nothing comes of them."""
+    wait_s, length_s = warm_up_s(options, scenario), lasts_s(scenario)
+    if length_s is not None and wait_s >= length_s:
+        raise OptionError(
+            f"warm_up_s: {wait_s:g} s leave nothing of {scenario.name}, which ends after "
+            f"{length_s:g} s; choose less"
+        )
+    known = None if options.ego_id is None else coming(scenario)
+    if known is not None and options.ego_id is not None and not known[0](options.ego_id):
+        raise EgoError(
+            f"ego_id: nobody called {options.ego_id!r} is in the route files of "
+            f"{scenario.name}{nearest(options.ego_id, known[1])}"
+        )
 
 
 def _named(options: EnvOptions) -> Scenario:
     if options.tracks is not None:
         _refuse_traffic(options, "recorded tracks")
         map_path = None if options.map is None else Path(options.map)
-        return load_tracks((options.tracks,), map_path)
+        try:
+            return load_tracks((options.tracks,), map_path)
+        except InputError as error:
+            raise OptionError(f"tracks: {in_python(error)}") from None
     scene = options.scene
     assert scene is not None
     if isinstance(scene, Scenario):
@@ -52,8 +84,12 @@ def _named(options: EnvOptions) -> Scenario:
     try:
         return load_scenario(scene, options.density, options.risk)
     except InputError as error:
-        if not _is_highway(scene):
-            raise OptionError(f"scene: {error}") from None
+        highway = _of_highway()
+        if scene not in highway:
+            if str(error).startswith("unknown scene"):
+                hint = nearest(scene, (*find_scenarios(), *highway))
+                raise OptionError(f"scene: unknown scene {scene!r}{hint}") from None
+            raise OptionError(f"scene: {in_python(error)}") from None
     _refuse_traffic(options, "an environment of highway-env")
     return Scenario(
         name=scene,
@@ -71,10 +107,10 @@ def _refuse_traffic(options: EnvOptions, what: str) -> None:
             raise OptionError(f"{key}: {what} has its own traffic; leave it out")
 
 
-def _is_highway(name: str) -> bool:
+def _of_highway() -> tuple[str, ...]:
     from hatn_sim.simulators.highway_environment import known_environments
 
-    return name in known_environments()
+    return known_environments()
 
 
 def _replayed(scenario: Scenario, options: EnvOptions) -> Scenario:

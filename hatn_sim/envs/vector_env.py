@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import iterate
 
-from hatn_sim.envs.errors import ActionShapeError, ActionTypeError, OptionError
+from hatn_sim.envs.errors import ActionError, ActionShapeError, ActionTypeError, OptionError
 from hatn_sim.envs.mind import predictor_of
 from hatn_sim.envs.options import EnvOptions
 from hatn_sim.envs.scene_env import SceneEnv
-from hatn_sim.envs.turns import taken
+from hatn_sim.envs.turns import Turn, taken
 
 
 class SceneVectorEnv(SyncVectorEnv):
@@ -48,8 +48,10 @@ class SceneVectorEnv(SyncVectorEnv):
         ahead = cast(list[_Ahead], self.envs)
         results = taken(
             [
-                env.scene_env.opening() if is_over else env.scene_env.turn(action)
-                for env, is_over, action in zip(ahead, begins.tolist(), each, strict=True)
+                env.scene_env.opening() if is_over else _numbered(k, env.scene_env.turn(action))
+                for k, (env, is_over, action) in enumerate(
+                    zip(ahead, begins.tolist(), each, strict=True)
+                )
             ]
         )
         for env, result in zip(ahead, results, strict=True):
@@ -77,6 +79,14 @@ class SceneVectorEnv(SyncVectorEnv):
     def action_masks(self) -> np.ndarray:
         """The slots [num_envs, M] that may be chosen now."""
         return np.stack([env.scene_env.action_masks() for env in cast(list[_Ahead], self.envs)])
+
+
+def _numbered(number: int, turn: Turn[Any]) -> Turn[Any]:
+    """A turn that says whose action was refused."""
+    try:
+        return (yield from turn)
+    except ActionError as error:
+        raise type(error)(f"environment {number}: {error}") from None
 
 
 class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -13,8 +13,9 @@ from hatn_sim.envs.observation import Observation
 from hatn_sim.policies.inputs import Layout, inputs_of
 from hatn_sim.policies.law import LEVELS_MPS2, has_stood, lawful_mps2, level_mps2
 
-REWARD: Final = {"time_s": -0.1, "arrival": 2.0}
-"""Beside the weights that environments have: 100 s of waiting are no worse than one collision."""
+REWARD: Final = {"time_s": -0.1, "arrival": 2.0, "lawless": 0.0}
+"""Beside the weights that environments have: 100 s of waiting are no worse than one collision.
+The law is kept for the policy: nothing is to be learnt of it."""
 
 
 class LawfulLevels(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -29,6 +29,9 @@ LONGEST_NAP_S: Final = 0.02
 """Between two looks at whether a worker has left."""
 
 
+FORKS: Final = sys.platform == "linux"
+
+
 class WorkerDiedError(Exception):
     """The worker ended without an answer; the text says why as far as it is known."""
 
@@ -122,7 +125,8 @@ class Workers:
     """Where workers come from: forked from a process that all of this program share.
 
     To be closed when no more are wanted: with the last `Workers` that process leaves. Workers that
-    are there stay. Where there is no fork they are started one by one.
+    are there stay. On systems other than Linux they are started one by one: elsewhere
+    forking without exec is not there, or not safe beside a system's own threads.
     """
 
     def __init__(self, module: str = WORKER) -> None:
@@ -135,7 +139,7 @@ class Workers:
 
         Raises WorkerDiedError where there can be none.
         """
-        if not hasattr(os, "fork"):
+        if not FORKS:
             return _spawned((self._module,), files)
         if self._nursery is None or not self._nursery.is_of_use:
             self.close()
@@ -164,7 +168,13 @@ class _Nursery:
     """The process that workers of a module are forked from, for this process only."""
 
     _known: Final[dict[str, _Nursery]] = {}
-    _lock: Final = threading.Lock()
+    _lock = threading.Lock()
+
+    @classmethod
+    def forget(cls) -> None:
+        """In a child of this process: what another thread held there, nobody will let go of."""
+        cls._lock = threading.Lock()
+        cls._known.clear()
 
     @classmethod
     def shared(cls, module: str) -> _Nursery:
@@ -250,6 +260,10 @@ class _Nursery:
                 raise WorkerDiedError(_ending(self._process.wait(1.0), _read(self._words)))
             raise WorkerDiedError("its process could not be started")
         return ANSWER.unpack(answer)
+
+
+if FORKS:
+    os.register_at_fork(after_in_child=_Nursery.forget)
 
 
 class _Forked:
