@@ -14,7 +14,8 @@ from hatn_sim.report.road_shapes import MOTOR_KINDS, markings, stop_line
 
 NEAR_M: Final = 70.0
 """Lanes farther than this from wherever anybody was are left out: a town may have thousands."""
-GRID_PER_M: Final = 10
+GRID_PER_M: Final = 50
+"""Points of the road are rounded to 2 cm: coarser, long lines are seen to waver."""
 CELL_M: Final = 5.0
 """Places where somebody was, within this of each other, count once."""
 ROAD, TRAM, PATH = "road", "tram", "path"
@@ -34,7 +35,7 @@ def near_lanes(lanes: Iterable[Lane], been_xy_m: FloatArray) -> list[Lane]:
 
 
 def road_content(lanes: Sequence[Lane], origin_m: FloatArray) -> dict[str, Any]:
-    """Lanes, markings and lines to stop at, in decimetres from the origin."""
+    """Lanes, markings and lines to stop at, in steps of 2 cm from the origin."""
     road = [lane for lane in lanes if use_of(lane) == ROAD]
     solid, dashed = markings([lane for lane in road if not lane.is_connection], None)
     return {
@@ -63,14 +64,14 @@ def _stop(lane: Lane, origin_m: FloatArray) -> dict[str, Any]:
     line = stop_line(lane)
     return {
         "gate": line.gate.name.lower(),
-        "xy": _flat(line.corners_xy_m, origin_m, 100),
+        "xy": _flat(line.corners_xy_m, origin_m),
         "signals": list(line.signals),
     }
 
 
-def _flat(xy_m: FloatArray, origin_m: FloatArray, per_m: int = GRID_PER_M) -> list[int]:
+def _flat(xy_m: FloatArray, origin_m: FloatArray) -> list[int]:
     """x, y, x, y ... without points that the grid makes equal."""
-    xy = np.rint((xy_m - origin_m) * per_m).astype(np.int64)
+    xy = np.rint((xy_m - origin_m) * GRID_PER_M).astype(np.int64)
     keep = np.ones(len(xy), dtype=np.bool_)
     keep[1:] = np.diff(xy, axis=0).any(axis=1)
     flat: list[int] = xy[keep].ravel().tolist()

@@ -99,17 +99,17 @@ function roadPaths(road) {
   for (const lane of road.lanes) {
     const key = `${lane.use} ${lane.width_m}`;
     if (!strips.has(key)) strips.set(key, { use: lane.use, width: lane.width_m, path: new Path2D() });
-    addFlat(strips.get(key).path, lane.xy, 10);
+    addFlat(strips.get(key).path, lane.xy, PER_M);
     for (let i = 0; i < lane.xy.length; i += 2) {
-      bounds[0] = Math.min(bounds[0], lane.xy[i] / 10);
-      bounds[1] = Math.min(bounds[1], lane.xy[i + 1] / 10);
-      bounds[2] = Math.max(bounds[2], lane.xy[i] / 10);
-      bounds[3] = Math.max(bounds[3], lane.xy[i + 1] / 10);
+      bounds[0] = Math.min(bounds[0], lane.xy[i] / PER_M);
+      bounds[1] = Math.min(bounds[1], lane.xy[i + 1] / PER_M);
+      bounds[2] = Math.max(bounds[2], lane.xy[i] / PER_M);
+      bounds[3] = Math.max(bounds[3], lane.xy[i + 1] / PER_M);
     }
   }
   const lines = (list) => {
     const path = new Path2D();
-    for (const xy of list) addFlat(path, xy, 10);
+    for (const xy of list) addFlat(path, xy, PER_M);
     return path;
   };
   return {
@@ -117,7 +117,7 @@ function roadPaths(road) {
     strips: [...strips.values()],
     surfaces: (road.surfaces || []).map(({ use, rings }) => {
       const path = new Path2D();
-      for (const ring of rings) { addFlat(path, ring, 10); path.closePath(); }
+      for (const ring of rings) { addFlat(path, ring, PER_M); path.closePath(); }
       return { use, path };
     }),
     solid: lines(road.solid),
@@ -129,11 +129,11 @@ function roadPaths(road) {
 // A bar where one has to stop; teeth, which point at those who have to give way.
 function stopPath(stop) {
   const path = new Path2D();
-  const corner = (i) => [stop.xy[2 * i] / 100, stop.xy[2 * i + 1] / 100];
+  const corner = (i) => [stop.xy[2 * i] / PER_M, stop.xy[2 * i + 1] / PER_M];
   if (stop.xy.length < 8) return path;
   const [frontLeft, frontRight, , backLeft] = [corner(0), corner(1), corner(2), corner(3)];
   if (stop.gate !== 'give_way_line') {
-    addFlat(path, stop.xy, 100);
+    addFlat(path, stop.xy, PER_M);
     path.closePath();
     return path;
   }
