@@ -1,7 +1,9 @@
-"""Show a run: a page to play it (report.html), and its most telling moment as a picture.
+"""Show a run: a page that plays it (report.html), and its most telling moment as a picture.
 
-The page opens from disk, without a network, with the moment of the picture; the seconds around it
-are drawn as an animation as well. Unfinished runs are shown as far as they are there. With --cases, the paper's three case studies are found in one or more runs instead, and each is
+The page opens from disk, without a network, at the moment of the picture; the seconds around it
+are drawn as an animation, too. An unfinished run is shown as far as it is there.
+
+With --cases, the paper's three case studies are found in one or more runs instead, and each is
 drawn as a figure (PNG and PDF): one interaction, a sequence of interactions, and transfer to a
 scene that the networks were not trained on.
 """

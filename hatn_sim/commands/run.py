@@ -2,8 +2,8 @@
 
 SCENE is the name of a scene that ships (`hatn-sim scenarios`), a scenario.toml, your own .sumocfg,
 or the folder of a run, to be replayed. Recorded tracks are given by --tracks and --map instead. A
-folder is left behind with tracks, predictions, suggestions, alerts, scores, a picture, and a page to
-play the run (report.html); the scores are printed at the end.
+folder is left behind with tracks, predictions, suggestions, alerts, scores, a picture and a page
+that plays the run (report.html); the scores are printed at the end.
 """
 
 from __future__ import annotations

@@ -114,11 +114,11 @@ def notes(scores: Sequence[Score]) -> list[str]:
 
 def _error_table(scene: str, subset: str, scores: Sequence[Score]) -> Table:
     table = _table(f"{scene}: errors in metres, {SUBSETS[subset]}", (*ERRORS, "fallback_share"))
-    by_measure = by_measure(scores, subset)
-    base = [by_measure.get((BASELINE, measure)) for measure in ERRORS]
+    found = by_measure(scores, subset)
+    base = [found.get((BASELINE, measure)) for measure in ERRORS]
     for predictor in dict.fromkeys(score.predictor for score in scores):
-        row = [by_measure.get((predictor, measure)) for measure in ERRORS]
-        fallback = by_measure.get((predictor, "fallback_share"))
+        row = [found.get((predictor, measure)) for measure in ERRORS]
+        fallback = found.get((predictor, "fallback_share"))
         table.add_row(
             row_name(row),
             row_count(row),
@@ -130,9 +130,9 @@ def _error_table(scene: str, subset: str, scores: Sequence[Score]) -> Table:
 
 def _slot_table(scene: str, scores: Sequence[Score]) -> Table:
     table = _table(f"{scene}: slots", SLOTS)
-    by_measure = by_measure(scores, "all")
+    found = by_measure(scores, "all")
     for predictor in dict.fromkeys(score.predictor for score in scores):
-        row = [by_measure.get((predictor, measure)) for measure in SLOTS]
+        row = [found.get((predictor, measure)) for measure in SLOTS]
         if any(score and score.n for score in row):
             table.add_row(row_name(row), row_count(row), *(share_cell(score) for score in row))
     return table
@@ -141,9 +141,9 @@ def _slot_table(scene: str, scores: Sequence[Score]) -> Table:
 def _spread_table(scene: str, scores: Sequence[Score]) -> Table:
     """The best of several modes, and how often the goal is where its mixture has it."""
     table = _table(f"{scene}: modes and probabilities, {SUBSETS['all']}", SPREADS)
-    by_measure = by_measure(scores, "all")
+    found = by_measure(scores, "all")
     for predictor in dict.fromkeys(score.predictor for score in scores):
-        row = [by_measure.get((predictor, measure)) for measure in SPREADS]
+        row = [found.get((predictor, measure)) for measure in SPREADS]
         if any(score and score.n for score in row):
             table.add_row(row_name(row), row_count(row), *(plain_cell(score) for score in row))
     return table

@@ -11,8 +11,8 @@ the other (d: first, dd: second differences along a vehicle's stretch of frames)
 | 2 + L + 2 C | links L, changes C; closed at first; then frame (d) and link of each change |
 | R each | flags (d; see `FLAGS`), line (d, 0: none), s on it (dd, 0.1 m), modes, slots |
 | M, 6 M, 6 M | of each mode: percent, way points forward and left of the vehicle (dd, 0.1 m) |
-| Q each | of each slot: the vehicle behind (d), percent + 1 (0: none), focus, type, length (0.1 m), |
-|  | conflict x (d, 0.1 m), y (d), the ego's way to it (0.1 m), that of the vehicle behind |
+| Q each | of each slot: the vehicle behind (d), percent + 1 (0: none), focus, type, length, |
+|  | conflict x (d), y (d), the ego's way to it, that of the vehicle behind: all in 0.1 m |
 """
 
 from __future__ import annotations

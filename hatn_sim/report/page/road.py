@@ -26,12 +26,13 @@ def near_lanes(lanes: Iterable[Lane], been_xy_m: FloatArray) -> list[Lane]:
     everything = list(lanes)
     if not len(been_xy_m):
         return everything
-    tree = KDTree(np.unique(np.rint(been_xy_m / CELL_M), axis=0) * CELL_M)
-    return [
-        lane
-        for lane in everything
-        if np.isfinite(tree.query(resample(lane.xy_m, CELL_M), distance_upper_bound=NEAR_M)[0]).any()
-    ]
+    been = KDTree(np.unique(np.rint(been_xy_m / CELL_M), axis=0) * CELL_M)
+
+    def is_near(lane: Lane) -> bool:
+        away_m, _ = been.query(resample(lane.xy_m, CELL_M), distance_upper_bound=NEAR_M)
+        return bool(np.isfinite(away_m).any())
+
+    return [lane for lane in everything if is_near(lane)]
 
 
 def road_content(lanes: Sequence[Lane], origin_m: FloatArray) -> dict[str, Any]:
