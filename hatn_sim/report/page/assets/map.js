@@ -28,14 +28,13 @@ function chanceColour(chance, alpha = 1) {
 }
 
 function mapCamera(canvas) {
-  const camera = { x: 0, y: 0, scale: 8, width: 1, height: 1, ratio: 1, turns: 0 };
+  const camera = { x: 0, y: 0, scale: 8, width: 1, height: 1, ratio: 1 };
   camera.resize = () => {
     camera.ratio = Math.min(window.devicePixelRatio || 1, 2);
     camera.width = Math.max(canvas.clientWidth, 1);
     camera.height = Math.max(canvas.clientHeight, 1);
     canvas.width = Math.round(camera.width * camera.ratio);
     canvas.height = Math.round(camera.height * camera.ratio);
-    camera.turns++;
   };
   camera.toScreen = (x, y) => [
     camera.width / 2 + (x - camera.x) * camera.scale,
@@ -50,17 +49,13 @@ function mapCamera(canvas) {
     camera.scale = Math.min(Math.max(camera.scale * factor, LEAST_SCALE), MOST_SCALE);
     camera.x = mapX - (x - camera.width / 2) / camera.scale;
     camera.y = mapY + (y - camera.height / 2) / camera.scale;
-    camera.turns++;
   };
   camera.pan = (dx, dy) => {
     camera.x -= dx / camera.scale;
     camera.y += dy / camera.scale;
-    camera.turns++;
   };
   camera.lookAt = (x, y, scale = camera.scale) => {
-    if (x === camera.x && y === camera.y && scale === camera.scale) return;
     Object.assign(camera, { x, y, scale });
-    camera.turns++;
   };
   camera.fit = ([west, south, east, north]) => {
     const across = Math.max(east - west, 20), up = Math.max(north - south, 20);
@@ -151,9 +146,6 @@ function stopPath(stop) {
 }
 
 function drawRoad(ctx, camera, paths, look) {
-  camera.inPixels(ctx);
-  ctx.fillStyle = look.verge;
-  ctx.fillRect(0, 0, camera.width, camera.height);
   camera.inMetres(ctx);
   ctx.lineJoin = 'round';
   ctx.lineCap = 'butt';
@@ -196,6 +188,36 @@ function drawRoad(ctx, camera, paths, look) {
   ctx.setLineDash([]);
   for (const stop of paths.stops) ctx.fill(stop.path);
   ctx.globalAlpha = 1;
+}
+
+// The road as a picture somewhat larger than the view: it is painted anew only where the camera has
+// left it, zoomed, or the looks are others.
+function groundOf(paths) {
+  const canvas = document.createElement('canvas');
+  let painted = null;
+  const room = 0.25; // beyond each side of the view, as a share of it
+  return (ctx, camera, look) => {
+    const { width, height, scale, ratio } = camera;
+    const stale = !painted || painted.look !== look || painted.scale !== scale || painted.ratio !== ratio
+      || painted.width !== width || painted.height !== height
+      || Math.abs(camera.x - painted.x) * scale > room * width
+      || Math.abs(camera.y - painted.y) * scale > room * height;
+    if (stale) {
+      painted = { x: camera.x, y: camera.y, width, height, scale, ratio, look };
+      const wide = mapCamera(canvas);
+      Object.assign(wide, painted, { width: width * (1 + 2 * room), height: height * (1 + 2 * room) });
+      canvas.width = Math.round(wide.width * ratio);
+      canvas.height = Math.round(wide.height * ratio);
+      const ground = canvas.getContext('2d');
+      ground.fillStyle = look.verge;
+      ground.fillRect(0, 0, canvas.width, canvas.height);
+      drawRoad(ground, wide, paths, look);
+    }
+    camera.inPixels(ctx);
+    ctx.drawImage(canvas, (painted.x - camera.x) * scale - room * width,
+      (camera.y - painted.y) * scale - room * height, canvas.width / ratio, canvas.height / ratio);
+    camera.inMetres(ctx);
+  };
 }
 
 // Stop lines of signals in the colour of the signal now.

@@ -20,6 +20,7 @@ function makeApp(head) {
   };
   app.timeOf = (frame) => head.start_s + frame * head.dt_s;
   app.frameOf = (seconds) => Math.min(Math.max((seconds - head.start_s) / head.dt_s, 0), Math.max(head.frames - 1, 0));
+  app.ground = groundOf(app.paths);
   app.moments = momentsOf(app);
   return app;
 }
@@ -63,7 +64,7 @@ function between(state, next, part) {
 
 function drawScene(ctx, app, view) {
   const { camera, look } = app;
-  drawRoad(ctx, camera, app.paths, look);
+  app.ground(ctx, camera, look);
   drawSignals(ctx, app.paths, view.closed, look);
   if (camera.scale >= 1.2) {
     drawSlots(ctx, app, view);

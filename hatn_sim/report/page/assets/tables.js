@@ -1,6 +1,17 @@
 // What stands beside and under the map: the ego, moments to jump to, scores, settings.
 
-// The side panel is made once for each ego, then only its values change.
+// Why an ego is told what it is told, or nothing.
+const WHY = {
+  likely_unsafe: 'the likelier slot is not safe', held: 'as told before', far: 'the conflict is far',
+  unsure: 'no slot leads by enough', settling: 'the choice is still settling',
+  unsafe_pass: 'the likely pass is not safe', too_late: 'a yield would be beyond comfort',
+  gone_in_time: 'likely to be out before the other comes', in_the_way: 'in the other\u2019s way already',
+  other_waits: 'the other is likelier to wait', stands: 'both stand',
+  said_otherwise: 'the opposite was said before', mutual: 'the other is told to yield',
+  brief: 'over before a driver could react', alerted: 'an alert tells the opposite',
+};
+
+// The side panel is made anew a few times a second.
 function drawPanel(app, view) {
   const panel = document.getElementById('panel');
   const ego = app.head.vehicles[app.ego];
@@ -27,7 +38,7 @@ function adviceLines(app, view) {
   if (said.speed_mps !== null) facts.push(`${said.speed_mps.toFixed(1)} m/s on the way`);
   if (said.target_s !== null) facts.push(`at the conflict in ${said.target_s.toFixed(1)} s`);
   if (!said.feasible) facts.push('beyond comfort');
-  if (said.reason) facts.push(said.reason);
+  if (said.reason && said.reason !== 'likely') facts.push(WHY[said.reason] || said.reason.replaceAll('_', ' '));
   return [
     element('h3', { textContent: 'Advice' }),
     element('p', { class: `advice ${said.action}`, textContent: said.text }),
@@ -106,7 +117,7 @@ function makeMoments(app, jump) {
   });
   const head = element('tr', {}, ['when', 'what', 'who', ''].map((text) => element('th', { textContent: text })));
   host.replaceChildren(element('h2', { textContent: 'Alerts and events' }),
-    element('div', { class: 'wide' }, [element('table', { class: 'moments' }, [
+    element('div', { class: 'wide tall', tabIndex: 0 }, [element('table', { class: 'moments' }, [
       element('thead', {}, [head]), element('tbody', {}, rows)])]));
 }
 
