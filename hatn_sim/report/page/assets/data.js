@@ -164,7 +164,7 @@ function chunkStore(head) {
 // A vehicle at a frame: metres from the origin, radians, m/s; null where it is not in view.
 function stateAt(store, head, frame, vehicle) {
   const chunk = store.now(Math.floor(frame / head.chunk_frames));
-  const row = chunk && chunk.rowAt[frame % head.chunk_frames].get(vehicle);
+  const row = chunk?.rowAt[frame % head.chunk_frames]?.get(vehicle); // no frame after the last
   return row === undefined ? null : stateOf(chunk, row, vehicle);
 }
 
