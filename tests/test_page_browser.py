@@ -187,7 +187,7 @@ def test_names_from_a_file_are_only_ever_text(browser: Any, tmp_path: Path) -> N
     assert now["ego"] == HOSTILE[0]
     pressed(browser, "n")
     waited(browser, lambda now: now["ego"] == HOSTILE[1])
-    waited(browser, lambda now: "ego=" in browser.current_url)
+    waited(browser, lambda now: "ego=%22%3E%3Csvg" in browser.current_url)
     link = browser.current_url.partition("#")[2]
     assert opened(browser, folder, f"#{link}")["ego"] == HOSTILE[1]
     assert browser.find_element("css selector", "#panel h2").text.startswith('"><svg onload')

@@ -102,6 +102,15 @@ function drawScaleBar(ctx, camera) {
   ctx.textAlign = 'start';
 }
 
+// An alert about the ego goes before its advice.
+function showSaid(app, view) {
+  const alert = view.alerts.find(({ ego, other }) => ego === app.ego || other === app.ego);
+  const words = alert ? alert.text : view.advice ? view.advice.text : '';
+  const place = byId('said');
+  if (place.textContent !== words) place.textContent = words;
+  place.classList.toggle('alarmed', alert !== undefined);
+}
+
 async function start() {
   const head = await unpackedJson(byId('head').textContent);
   const app = makeApp(head);
@@ -223,8 +232,7 @@ async function start() {
     if (now - panelAt > 150 || panelAt === 0) {
       panelAt = now;
       drawPanel(app, view);
-      const said = view.advice ? view.advice.text : '';
-      if (byId('said').textContent !== said) byId('said').textContent = said;
+      showSaid(app, view);
     } else dirty = true;
     // Browsers slow down pages that change their address often.
     if (now - linkAt > 400 && !app.playing && link() !== location.hash) {
