@@ -373,7 +373,7 @@ def _finish(
     tell_counterfactuals(logged)
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
-    print(f"log and scores in {out}")
     for path in shown:
         print(f"to look at: {path}")
+    print(f"log and scores in {out}")
     return drove
