@@ -22,16 +22,14 @@ function slotStrip(app, rear, length) {
   return alongLine(app.lines[number], from, from + Math.min(Math.max(length, 0.5), REACH_M));
 }
 
-function strokeStrip(ctx, points, fill, edge, dashed) {
+function strokeStrip(ctx, points, fill, edge) {
   const path = new Path2D();
   addPoints(path, points);
   ctx.lineCap = 'butt';
   ctx.lineJoin = 'round';
-  ctx.setLineDash(dashed ? [1.2, 0.8] : []);
   ctx.lineWidth = STRIP_M;
   ctx.strokeStyle = edge;
   ctx.stroke(path);
-  ctx.setLineDash([]);
   ctx.lineWidth = STRIP_M - 0.24;
   ctx.strokeStyle = fill;
   ctx.stroke(path);
@@ -43,8 +41,8 @@ function drawSlots(ctx, app, view) {
     const rear = view.logged.get(slot.vehicle);
     const strip = rear && slotStrip(app, rear, slot.length);
     if (!strip) continue;
-    if (slot.chance === null) strokeStrip(ctx, strip, 'rgba(255,255,255,0.1)', 'rgba(255,255,255,0.3)', true);
-    else strokeStrip(ctx, strip, chanceColour(slot.chance, 0.86), 'rgba(255,255,255,0.55)', false);
+    if (slot.chance === null) strokeStrip(ctx, strip, 'rgba(255,255,255,0.1)', 'rgba(255,255,255,0.12)');
+    else strokeStrip(ctx, strip, chanceColour(slot.chance, 0.86), 'rgba(255,255,255,0.55)');
   }
 }
 
