@@ -27,7 +27,8 @@ def test_runs_are_made_scored_and_used_again(
     assert main([*words, "--json"]) == 0
     told = capsys.readouterr().out
     scores = json.loads(told)
-    assert {one["predictor"] for one in scores} >= {"hatn", "time_to_collision", "oracle", "never"}
+    # Nothing happens in these seconds: there is nothing to choose thresholds of other rules by.
+    assert {one["predictor"] for one in scores} == {"hatn", "oracle", "always", "never"}
     assert {one["subset"] for one in scores} == {"courteous", "inattentive", "all"}
     measures = {one["measure"] for one in scores}
     assert measures >= {"event_recall", "recall_1s5", "precision", "false_alarms_per_hour"}

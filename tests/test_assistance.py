@@ -274,6 +274,8 @@ def test_verdicts_and_regret_by_hand() -> None:
 
     def slot_line(driver: str | None, own: float, yielding: float, his: float) -> dict[str, object]:
         said = {"about": "suggestion", "lost": False, "action": "yield", "driver_action": driver}
+        said |= {"regret_to_best": own - min(his, 0.0), "slots_differ": yielding > 0.0}
+        said |= {"slots": [{"collisions": 1}, {"collisions": int(own > 1.0)}]}
         return {**said, "regret": own, "always_yield_regret": yielding, "driver_regret": his}
 
     lines = (
@@ -282,7 +284,7 @@ def test_verdicts_and_regret_by_hand() -> None:
         alert_line("unneeded", 0),
         alert_line("harmful", 0),
         {"about": "alert", "lost": True},
-        slot_line("yield", 0.0, 2.0, 0.0),
+        slot_line("yield", 0.0, 2.0, -3.0),
         slot_line("pass", 1.0, 4.0, 3.0),
         slot_line(None, 2.0, 0.0, 1.0),
     )
@@ -294,9 +296,13 @@ def test_verdicts_and_regret_by_hand() -> None:
         "unneeded_share": 0.25,
         "regret": 1.0,
         "always_yield_regret": 2.0,
-        "driver_regret": 4 / 3,
+        "driver_regret": 1 / 3,
         "regret_where_different": 1.0,
         "driver_regret_where_different": 3.0,
+        "regret_to_best": 2.0,
+        "always_yield_regret_to_best": 3.0,
+        "slots_differ": 2 / 3,
+        "all_slots_collide": 1 / 3,
         "lost_branches": 1 / 8,
     }
     assert {one.measure: one.value for one in scores} == pytest.approx(expected)

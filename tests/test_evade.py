@@ -100,7 +100,7 @@ def test_of_two_who_follow_the_one_behind_brakes_however_late(
         told = warn(seen, first, second, True)
         assert (told.ego, told.action) == (rear, BRAKE)
         assert told.room_m is not None and np.isfinite(told.room_m)
-        assert told.text is not None and told.text.endswith("keep behind the silver car ahead")
+        assert told.text is not None and told.text.endswith("keep behind the car ahead")
     assert warn(seen, rear, front, False).action == BRAKE
     alone = warn(seen, front, rear, False)
     assert (alone.ego, alone.action, alone.room_m) == (front, CLEAR, None)

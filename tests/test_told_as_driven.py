@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def told(request: pytest.FixtureRequest) -> list[Said]:
     scenario = load_scenario(request.param, None, "assertive")
     adviser = Adviser(load_predictors(("hatn",), None, "none", True, frozenset())[0])
     said: list[Said] = []
-    with open_traffic(scenario) as simulator:
+    with closing(open_traffic(scenario)) as simulator:
         frame = warm_up(simulator, simulator.reset(321), 200)
         state = begin(adviser, simulator.road)
         for _ in range(80):

@@ -29,6 +29,10 @@ as much as ours (`evaluation.comparison`) |
 | `always_yield_regret`, `driver_regret` | 1 | the same of yielding, and of what the driver did |
 | `regret_where_different`, `driver_regret_where_different` | 1 | where the driver passed \
 before the vehicle that the advice names instead of yielding to it, or the reverse |
+| `regret_to_best`, `always_yield_regret_to_best` | 1 | the same over the best of the slots and \
+what the driver did |
+| `slots_differ` | share | of judged suggestions: it makes a difference which slot is taken |
+| `all_slots_collide` | share | of judged suggestions: each slot ends in a collision |
 | `lost_branches` | share | of what was to be judged: a branch died |
 
 `subset` is the risk profile, "all" where several are pooled. A measure of which there is nothing
@@ -368,6 +372,14 @@ def counterfactual_scores(
 
         return of
 
+    def always_yield_to_best(line: Line) -> float | None:
+        if line["lost"]:
+            return None
+        return float(line["always_yield_regret"] - line["regret"] + line["regret_to_best"])
+
+    def all_collide(line: Line) -> float | None:
+        return None if line["lost"] else float(all(slot["collisions"] for slot in line["slots"]))
+
     return [
         mean("useful_share", "share", ALERT, verdict("useful", on_events=True)),
         mean("harmful_share", "share", ALERT, verdict("harmful")),
@@ -378,5 +390,9 @@ def counterfactual_scores(
         mean("driver_regret", "1", SUGGESTION, cost("driver_regret")),
         mean("regret_where_different", "1", SUGGESTION, cost("regret", True)),
         mean("driver_regret_where_different", "1", SUGGESTION, cost("driver_regret", True)),
+        mean("regret_to_best", "1", SUGGESTION, cost("regret_to_best")),
+        mean("always_yield_regret_to_best", "1", SUGGESTION, always_yield_to_best),
+        mean("slots_differ", "share", SUGGESTION, cost("slots_differ")),
+        mean("all_slots_collide", "share", SUGGESTION, all_collide),
         mean("lost_branches", "share", ANY, lambda line: float(line["lost"])),
     ]
