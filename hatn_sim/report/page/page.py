@@ -28,7 +28,7 @@ from hatn_sim.report.page.road import near_lanes, road_content
 from hatn_sim.whole_file import save_whole
 
 PAGE_FILE: Final = "report.html"
-SCRIPTS: Final = ("data", "map", "vehicles", "advice", "timeline", "tables", "player")
+SCRIPTS: Final = ("data", "map", "vehicles", "advice", "timeline", "tables", "input", "player")
 """Of `assets/`, in the order in which they make one script."""
 
 
