@@ -161,13 +161,14 @@ function drawConflicts(ctx, view, look) {
   }
 }
 
-// Rings around those that an alert names; at most twice a second, and steady for who wants no motion.
+// Rings around those that an alert names: they flash twice a second of the wall clock while the run is
+// played, however fast, and are steady for whoever wants no motion.
 function drawAlarms(ctx, app, view) {
   for (const alert of view.alerts) {
     for (const vehicle of [alert.ego, alert.other]) {
       const state = view.states.get(vehicle);
       if (!state) continue;
-      const on = app.still || Math.floor(view.time * 4) % 2 === 0;
+      const on = app.still || !app.playing || Math.floor(performance.now() / 250) % 2 === 0;
       placed(ctx, app.camera, state, () => {
         ctx.strokeStyle = ALARM;
         ctx.globalAlpha = on ? 1 : 0.35;
