@@ -401,7 +401,7 @@ def test_a_picture_with_the_run_or_afterwards(
     assert not list(Path("run").glob("moment.*"))
     capsys.readouterr()
     assert code_of("report", "run", "--no-animation", "--time", "20.5") == 0
-    assert capsys.readouterr().out == "run/moment.png\n"
+    assert capsys.readouterr().out == "run/report.html\nrun/moment.png\n"
     assert Path("run/moment.png").read_bytes().startswith(b"\x89PNG")
     for wrong, said in (
         (("--time", "900"), "run: no time 900 s; expected 20.0 to 23.9 s"),

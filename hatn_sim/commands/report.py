@@ -1,4 +1,7 @@
-"""Draw the most telling moment of a run as a picture, and the seconds around it as an animation.
+"""Show a run: a page that plays it (report.html), and its most telling moment as a picture.
+
+The page opens from disk, without a network, at the moment of the picture; the seconds around it
+are drawn as an animation, too. An unfinished run is shown as far as it is there.
 
 With --cases, the paper's three case studies are found in one or more runs instead, and each is
 drawn as a figure (PNG and PDF): one interaction, a sequence of interactions, and transfer to a
@@ -32,9 +35,11 @@ SUFFIXES: Final = (".png", ".pdf")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hatn-sim report`."""
     parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="the folder of a run")
-    parser.add_argument("--time", type=seconds_or_none, metavar="S", help="the moment to draw")
+    parser.add_argument(
+        "--time", type=seconds_or_none, metavar="S", help="the moment to draw and to open with"
+    )
     parser.add_argument("--ego", metavar="ID", help="the vehicle to follow")
-    parser.add_argument("--no-animation", action="store_true", help="only the picture")
+    parser.add_argument("--no-animation", action="store_true", help="only the page and the picture")
     parser.add_argument(
         "--cases",
         type=names,
@@ -45,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: all that there are)",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="where pictures go (default: the first run's)"
+        "--out", type=Path, metavar="FOLDER", help="where all goes (default: the first run's)"
     )
 
 
@@ -63,13 +68,7 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.cases is not None:
         paths = draw_cases(runs, out, arguments.cases)
     else:
-        paths = draw(
-            runs[0],
-            out,
-            animate=not arguments.no_animation,
-            time_s=arguments.time,
-            ego_id=arguments.ego,
-        )
+        paths = show(runs[0], out, not arguments.no_animation, arguments.time, arguments.ego)
     for path in paths:
         print(path)
     return 0
@@ -119,18 +118,36 @@ def draw_cases(runs: Sequence[Run], out: Path, wanted: Sequence[str]) -> list[Pa
     return written
 
 
-def draw(
+def show(
     logged: Run,
     out: Path,
     animate: bool,
     time_s: float | None = None,
     ego_id: str | None = None,
 ) -> list[Path]:
-    """Write `moment.png` and `moment.gif` into `out`; InputError where there is nothing to draw."""
-    from hatn_sim.report.animation import draw_animation
-    from hatn_sim.report.picture import choose_moment, draw_moment
+    """Write `report.html`, and `moment.png` and `moment.gif` where there is a moment to draw.
 
-    frame, ego = choose_moment(logged, time_s=time_s, ego_id=ego_id)
+    InputError where a time or an ego is asked for that there is not.
+    """
+    from hatn_sim.report.choice import choose_moment
+    from hatn_sim.report.page.page import write_page
+
+    try:
+        moment = choose_moment(logged, time_s=time_s, ego_id=ego_id)
+    except InputError as error:
+        if time_s is not None or ego_id is not None:
+            raise
+        print(f"hatn-sim: no picture: {error}", file=sys.stderr)
+        return [write_page(logged, out)]
+    return [write_page(logged, out, moment), *draw(logged, out, moment, animate)]
+
+
+def draw(logged: Run, out: Path, moment: tuple[int, str], animate: bool) -> list[Path]:
+    """Write `moment.png`, and `moment.gif` if it is to be an animation, of (frame, ego)."""
+    from hatn_sim.report.animation import draw_animation
+    from hatn_sim.report.picture import draw_moment
+
+    frame, ego = moment
     paths = [out / "moment.png"]
     draw_moment(logged, frame, ego, paths[0])
     if animate:

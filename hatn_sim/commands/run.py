@@ -2,14 +2,13 @@
 
 SCENE is the name of a scene that ships (`hatn-sim scenarios`), a scenario.toml, your own .sumocfg,
 or the folder of a run, to be replayed. Recorded tracks are given by --tracks and --map instead. A
-folder is left behind with tracks, predictions, suggestions, alerts, scores and a picture; the
-scores are printed at the end.
+folder is left behind with tracks, predictions, suggestions, alerts, scores, a picture and a page
+that plays the run (report.html); the scores are printed at the end.
 """
 
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 import time
 from contextlib import closing
@@ -128,7 +127,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="where the log goes; must not exist (default: the first free runs/SCENE-N)",
     )
-    parser.add_argument("--no-picture", action="store_true", help="leave out the pictures")
+    parser.add_argument("--no-page", action="store_true", help="leave out report.html")
+    parser.add_argument(
+        "--no-picture", action="store_true", help="leave out the picture and report.html"
+    )
     parser.add_argument("--json", action="store_true", help="print the scores as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress, no notices")
 
@@ -321,8 +323,8 @@ def _finish(
 ) -> int:
     from hatn_sim.commands.console import make_console
     from hatn_sim.commands.run_results import (
-        draw_picture,
         rates,
+        show_run,
         tell_counterfactuals,
         tell_everyday_braking,
         write_replay,
@@ -339,7 +341,9 @@ def _finish(
     scores = with_seen(score_run(logged), learnt)
     write_scores(out, scores)
     taken_s = done.seconds + time.monotonic() - scoring
-    pictures = [] if arguments.no_picture else draw_picture(logged, out, arguments.quiet)
+    shown: list[Path] = []
+    if not arguments.no_picture:
+        shown = show_run(logged, out, arguments.quiet, not arguments.no_page)
     driven = _driven(arguments)
     for option, wanted in (("--egos", arguments.egos or ()), ("--drive", driven)):
         never = [name for name in wanted if name not in logged.ids]
@@ -369,7 +373,7 @@ def _finish(
     tell_counterfactuals(logged)
     before_s = done.began - started
     print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
-    print(f"log, scores and picture in {out}" if pictures else f"log and scores in {out}")
-    if pictures:
-        print(f"an animation: hatn-sim report {shlex.quote(str(out))}")
+    for path in shown:
+        print(f"to look at: {path}")
+    print(f"log and scores in {out}")
     return drove

@@ -67,14 +67,22 @@ def rates(logged: Run, frames: int, taken_s: float) -> list[Score]:
     ]
 
 
-def draw_picture(logged: Run, out: Path, quiet: bool) -> list[Path]:
-    """The pictures of a run; none, and a line, where there is nothing to draw."""
+def show_run(logged: Run, out: Path, quiet: bool, page: bool) -> list[Path]:
+    """The picture of a run, and the page if wanted; where nothing can be drawn, a line says so.
+
+    The page opens with the moment of the picture; without one, with the first.
+    """
     from hatn_sim.commands.report import draw
     from hatn_sim.errors import InputError
+    from hatn_sim.report.choice import choose_moment
+    from hatn_sim.report.page.page import write_page
 
+    shown: list[Path] = []
+    moment = None
     try:
-        return draw(logged, out, animate=False)
+        moment = choose_moment(logged)
+        shown += draw(logged, out, moment, animate=False)
     except InputError as error:
         if not quiet:
             print(f"hatn-sim: no picture: {error}", file=sys.stderr)
-        return []
+    return [write_page(logged, out, moment), *shown] if page else shown

@@ -154,10 +154,19 @@ class Run:
 
     def predictions(self, predictor: str, every_frames: int = 1) -> PredictionTable:
         """What a predictor said, at every frame or only at multiples of `every_frames`."""
+        return self._predictions(predictor, range(self.parts), every_frames)
+
+    def prediction_parts(self, predictor: str) -> Iterator[PredictionTable]:
+        """The same, `PART_FRAMES` frames at a time: memory is bounded, however long the run."""
+        for part in range(self.parts):
+            yield self._predictions(predictor, range(part, part + 1), 1)
+
+    def _predictions(self, predictor: str, parts: range, every_frames: int) -> PredictionTable:
         if predictor not in self.predictors:
             known = ", ".join(self.predictors) or "none"
             raise InputError(f"{self.path}: no predictions of {predictor!r}; there are: {known}")
-        rows = self._rows(schema.predictor_folder(predictor), schema.PREDICTIONS, every_frames)
+        folder = schema.predictor_folder(predictor)
+        rows = self._rows(folder, schema.PREDICTIONS, every_frames, parts)
         frame, vehicle = rows["frame"].astype(np.int64), rows["id"]
         mode_probability, _ = padded(rows["mode_probability"])
         offset, _ = padded(rows["offset_xy_m"])
@@ -231,12 +240,17 @@ class Run:
         return read_parts(self.path / folder, range(part, part + 1), columns)
 
     def _rows(
-        self, folder: str, columns: tuple[schema.Column, ...], every_frames: int = 1
+        self,
+        folder: str,
+        columns: tuple[schema.Column, ...],
+        every_frames: int = 1,
+        parts: range | None = None,
     ) -> dict[str, Any]:
         index = {name: number for number, name in enumerate(self.ids)}
         # A run stopped while it wrote a frame may have rows of it that do not count.
         frames = range(0, self.frame_count, every_frames)
-        return read_parts(self.path / folder, range(self.parts), columns, index, frames)
+        wanted = range(self.parts) if parts is None else parts
+        return read_parts(self.path / folder, wanted, columns, index, frames)
 
     @cached_property
     def counterfactuals(self) -> list[Mapping[str, Any]] | None:

@@ -5,7 +5,7 @@ Pure arrays in metres of the map frame; `canvas` gives them colours.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -81,14 +81,14 @@ def road_shapes(lanes: Iterable[Lane], box: Box) -> RoadShapes:
     trams = [lane for lane in near if not lane.kinds & MOTOR_KINDS and Kind.TRAM in lane.kinds]
     others = [lane for lane in near if lane not in road and lane not in trams]
     asphalt = _surface(road, box, KERB_RADIUS_M)
-    solid, dashed = _markings([lane for lane in road if not lane.is_connection], asphalt)
+    solid, dashed = markings([lane for lane in road if not lane.is_connection], asphalt)
     return RoadShapes(
         asphalt=asphalt,
         path=_surface(others, box, 1.0),
-        rails_xy_m=tuple(_beside(lane.xy_m, side) for lane in trams for side in (-0.72, 0.72)),
+        rails_xy_m=tuple(beside(lane.xy_m, side) for lane in trams for side in (-0.72, 0.72)),
         solid_xy_m=solid,
         dashed_xy_m=dashed,
-        stop_lines=tuple(_stop_line(lane) for lane in road if lane.gate is not Gate.NONE),
+        stop_lines=tuple(stop_line(lane) for lane in road if lane.gate is not Gate.NONE),
     )
 
 
@@ -129,26 +129,31 @@ def _crossings(x_m: FloatArray, y_m: FloatArray, value: FloatArray) -> FloatArra
     return np.concatenate(points)
 
 
-def _beside(xy_m: FloatArray, left_m: float) -> FloatArray:
+def beside(xy_m: FloatArray, left_m: float) -> FloatArray:
     """A polyline moved to its left."""
     points = resample(xy_m, 1.0)
     yaw = tangent_rad(points)
     return points + left_m * np.stack((-np.sin(yaw), np.cos(yaw)), axis=1)
 
 
-def _markings(
+def markings(
     lanes: Sequence[Lane], asphalt: Surface | None
 ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
     """Solid lines between directions, dashed ones between lanes of a direction.
 
-    The edges of the road are not among them: they follow the asphalt.
+    The edges of the road are not among them: they follow the asphalt. Without it, solid lines
+    between lanes that part are left out.
     """
     solid: list[FloatArray] = []
     dashed: list[FloatArray] = []
-    if not lanes or asphalt is None:
+    if not lanes:
         return (), ()
-    grid = (asphalt.y_m, asphalt.x_m)
-    outside = RegularGridInterpolator(grid, asphalt.outside_m, bounds_error=False, fill_value=0.0)
+    outside: Callable[[FloatArray], FloatArray] | None = None
+    if asphalt is not None:
+        grid = (asphalt.y_m, asphalt.x_m)
+        outside = RegularGridInterpolator(
+            grid, asphalt.outside_m, bounds_error=False, fill_value=0.0
+        )
     points = [resample(lane.xy_m, 0.5) for lane in lanes]
     tree = KDTree(np.concatenate(points))
     owner = np.repeat(np.arange(len(lanes)), [len(p) for p in points])
@@ -157,13 +162,14 @@ def _markings(
     for index, lane in enumerate(lanes):
         own_yaw = tangent_rad(resample(lane.xy_m, 1.0))
         for side in (1.0, -1.0):
-            beyond = _beside(lane.xy_m, side * (0.5 * lane.width_m + 0.7))
+            beyond = beside(lane.xy_m, side * (0.5 * lane.width_m + 0.7))
             away_m, near = tree.query(beyond)
             there = (away_m < 0.5 * width_m[owner[near]] + 0.3) & (owner[near] != index)
             same = np.cos(yaw_rad[near] - own_yaw) > 0.0
-            border = _beside(lane.xy_m, side * 0.5 * lane.width_m)
-            inner = _beside(lane.xy_m, side * (0.5 * lane.width_m - EDGE_M))
-            solid += _runs(inner, ~there & (outside(inner[:, ::-1]) < -3.0 * EDGE_M))
+            border = beside(lane.xy_m, side * 0.5 * lane.width_m)
+            if outside is not None:
+                inner = beside(lane.xy_m, side * (0.5 * lane.width_m - EDGE_M))
+                solid += _runs(inner, ~there & (outside(inner[:, ::-1]) < -3.0 * EDGE_M))
             if side > 0:  # the neighbour draws the other one
                 solid += _runs(border, there & ~same)
                 dashed += _runs(border, there & same)
@@ -176,7 +182,7 @@ def _runs(xy_m: FloatArray, keep: BoolArray) -> list[FloatArray]:
     return [xy_m[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 5]
 
 
-def _stop_line(lane: Lane) -> StopLine:
+def stop_line(lane: Lane) -> StopLine:
     along = lane.xy_m[-1] - lane.xy_m[-2]
     along = along / np.linalg.norm(along)
     left = np.array([-along[1], along[0]]) * (0.5 * lane.width_m - EDGE_M)

@@ -114,38 +114,38 @@ def notes(scores: Sequence[Score]) -> list[str]:
 
 def _error_table(scene: str, subset: str, scores: Sequence[Score]) -> Table:
     table = _table(f"{scene}: errors in metres, {SUBSETS[subset]}", (*ERRORS, "fallback_share"))
-    by_measure = _by_measure(scores, subset)
-    base = [by_measure.get((BASELINE, measure)) for measure in ERRORS]
+    found = by_measure(scores, subset)
+    base = [found.get((BASELINE, measure)) for measure in ERRORS]
     for predictor in dict.fromkeys(score.predictor for score in scores):
-        row = [by_measure.get((predictor, measure)) for measure in ERRORS]
-        fallback = by_measure.get((predictor, "fallback_share"))
+        row = [found.get((predictor, measure)) for measure in ERRORS]
+        fallback = found.get((predictor, "fallback_share"))
         table.add_row(
-            _name(row),
-            _count(row),
-            *(_error_cell(*pair) for pair in zip(row, base, strict=True)),
-            _share_cell(fallback, interval=False),
+            row_name(row),
+            row_count(row),
+            *(error_cell(*pair) for pair in zip(row, base, strict=True)),
+            share_cell(fallback, interval=False),
         )
     return table
 
 
 def _slot_table(scene: str, scores: Sequence[Score]) -> Table:
     table = _table(f"{scene}: slots", SLOTS)
-    by_measure = _by_measure(scores, "all")
+    found = by_measure(scores, "all")
     for predictor in dict.fromkeys(score.predictor for score in scores):
-        row = [by_measure.get((predictor, measure)) for measure in SLOTS]
+        row = [found.get((predictor, measure)) for measure in SLOTS]
         if any(score and score.n for score in row):
-            table.add_row(_name(row), _count(row), *(_share_cell(score) for score in row))
+            table.add_row(row_name(row), row_count(row), *(share_cell(score) for score in row))
     return table
 
 
 def _spread_table(scene: str, scores: Sequence[Score]) -> Table:
     """The best of several modes, and how often the goal is where its mixture has it."""
     table = _table(f"{scene}: modes and probabilities, {SUBSETS['all']}", SPREADS)
-    by_measure = _by_measure(scores, "all")
+    found = by_measure(scores, "all")
     for predictor in dict.fromkeys(score.predictor for score in scores):
-        row = [by_measure.get((predictor, measure)) for measure in SPREADS]
+        row = [found.get((predictor, measure)) for measure in SPREADS]
         if any(score and score.n for score in row):
-            table.add_row(_name(row), _count(row), *(_plain_cell(score) for score in row))
+            table.add_row(row_name(row), row_count(row), *(plain_cell(score) for score in row))
     return table
 
 
@@ -158,21 +158,21 @@ def _table(title: str, measures: Sequence[str]) -> Table:
     return table
 
 
-def _by_measure(scores: Sequence[Score], subset: str) -> dict[tuple[str, str], Score]:
+def by_measure(scores: Sequence[Score], subset: str) -> dict[tuple[str, str], Score]:
     return {(s.predictor, s.measure): s for s in scores if s.subset == subset}
 
 
-def _name(row: Sequence[Score | None]) -> str:
+def row_name(row: Sequence[Score | None]) -> str:
     first = next(score for score in row if score is not None)
     name = first.predictor.replace("_", " ")
     return name if first.adapt == "none" else f"{name} + {first.adapt}"
 
 
-def _count(row: Sequence[Score | None]) -> str:
+def row_count(row: Sequence[Score | None]) -> str:
     return f"{next(score for score in row if score is not None).n:,}"
 
 
-def _error_cell(score: Score | None, base: Score | None) -> str:
+def error_cell(score: Score | None, base: Score | None) -> str:
     if score is None or score.value is None:
         return NONE
     shown = _millimetres if score.measure in IN_MILLIMETRES else _metres
@@ -186,10 +186,10 @@ def _error_cell(score: Score | None, base: Score | None) -> str:
     return cell
 
 
-def _plain_cell(score: Score | None) -> str:
+def plain_cell(score: Score | None) -> str:
     if score is not None and score.unit != "share":
-        return _error_cell(score, None)
-    return _share_cell(score)
+        return error_cell(score, None)
+    return share_cell(score)
 
 
 def _metres(value: float) -> str:
@@ -200,7 +200,7 @@ def _millimetres(value_m: float) -> str:
     return f"{1000.0 * value_m:.1f}"
 
 
-def _share_cell(score: Score | None, interval: bool = True) -> str:
+def share_cell(score: Score | None, interval: bool = True) -> str:
     if score is None or score.value is None:
         return NONE
     cell = f"{100.0 * score.value:.1f} %"

@@ -1,0 +1,205 @@
+"""The page of a run in a real browser. Needs Chromium and its driver; skipped where they lack."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from page_runs import ALERT_FRAMES, COLLISION_FRAME, FIRST_S, HOSTILE, hostile_run, made_up_run
+
+from hatn_sim.datatypes import DT_S
+from hatn_sim.log import read_run
+from hatn_sim.report.page.page import write_page
+
+pytestmark = pytest.mark.browser
+ARGUMENTS = (
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--window-size=1200,1000", "--force-device-scale-factor=1"),
+)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Generator[Any]:
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    driver = shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        pytest.skip("Chromium and chromium-driver are not installed")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    for argument in (*ARGUMENTS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
+        options.add_argument(argument)
+    opened = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    yield opened
+    opened.quit()
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = made_up_run(tmp_path_factory.mktemp("page") / "run")
+    write_page(read_run(folder), folder, (20, "eastbound"))
+    return folder
+
+
+def waited(browser: Any, met: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """What the page shows, once that is so."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    def shown(_: Any) -> Any:
+        now = browser.execute_script("return window.hatn ? window.hatn.now() : null")
+        return now if now and now["drawn"] and met(now) else False
+
+    return WebDriverWait(browser, 30, 0.05).until(shown)
+
+
+def opened(browser: Any, folder: Path, link: str = "") -> dict[str, Any]:
+    browser.get("about:blank")
+    browser.get_log("browser")
+    browser.get((folder / "report.html").as_uri() + link)
+    return waited(browser, lambda now: True)
+
+
+def pressed(browser: Any, *keys: str) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    ActionChains(browser).send_keys(*keys).perform()
+
+
+def clicked_at(browser: Any, xy_m: tuple[float, float]) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    canvas = browser.find_element("id", "map")
+    x, y = browser.execute_script("return window.hatn.pixel(...arguments)", *xy_m)
+    size = canvas.size
+    chain = ActionChains(browser)
+    chain.move_to_element_with_offset(canvas, x - size["width"] / 2, y - size["height"] / 2)
+    chain.click().perform()
+
+
+def test_it_opens_with_its_moment_and_without_a_complaint(browser: Any, run_folder: Path) -> None:
+    now = opened(browser, run_folder)
+    assert (now["ego"], round(now["time_s"], 3)) == ("eastbound", FIRST_S + 2.0)
+    assert browser.title.startswith("eastbound northbound")
+    assert now["said"] == "Pass before northbound"
+    assert browser.get_log("browser") == []
+
+
+def test_what_it_draws_is_what_the_log_says(browser: Any, run_folder: Path) -> None:
+    opened(browser, run_folder)
+    run = read_run(run_folder)
+    table = run.predictions("made_up")
+    for frame in (5, 50, 120):
+        told = browser.execute_async_script(
+            "window.hatn.at(arguments[0]).then(arguments[1])", FIRST_S + DT_S * frame
+        )
+        assert {one["id"] for one in told} == set(run.ids)
+        for one in told:
+            vehicle = run.ids.index(one["id"])
+            track = (run.tracks.frame == frame) & (run.tracks.vehicle == vehicle)
+            assert np.abs(run.tracks.xy_m[track][0] - one["xy_m"]).max() < 0.1
+            assert abs(run.tracks.yaw_rad[track][0] - one["yaw_rad"]) < 0.01
+            row = np.flatnonzero((table.frame == frame) & (table.vehicle == vehicle))[0]
+            shown = np.array([mode["xy_m"] for mode in one["modes"]])
+            assert np.abs(table.xy_m[row][:, 4::5] - shown).max() < 0.1
+            assert [mode["chance"] for mode in one["modes"]] == [0.75, 0.25]
+            slots = np.flatnonzero(table.slot_mask[row])
+            assert [slot["id"] for slot in one["slots"]] == [
+                run.ids[v] for v in table.slot_vehicle[row, slots]
+            ]
+            for slot, shown_slot in zip(slots, one["slots"], strict=True):
+                if table.has_conflict[row]:
+                    place = table.conflict_xy_m[row, slot]
+                    assert np.abs(place - shown_slot["conflict_xy_m"]).max() < 0.1
+                # Slots lie on the lanes, which are the axes here, from the front bumper on.
+                strip = np.array(shown_slot["strip_xy_m"])
+                behind = run.tracks.xy_m[
+                    (run.tracks.frame == frame)
+                    & (run.tracks.vehicle == run.ids.index(shown_slot["id"]))
+                ][0]
+                assert np.abs(strip).min(axis=1).max() < 0.1
+                assert abs(np.linalg.norm(strip[0] - behind) - 2.0) < 0.15
+
+
+def test_pixels_show_the_vehicle_where_it_is(browser: Any, run_folder: Path) -> None:
+    opened(browser, run_folder, f"#t={FIRST_S + 2.0}&ego=eastbound")
+    around = """
+        const [x, y] = window.hatn.pixel(arguments[0], arguments[1]);
+        const canvas = document.getElementById('map');
+        return [...canvas.getContext('2d').getImageData(Math.round(x), Math.round(y), 1, 1).data];
+    """
+    x = -20.0 + 8.0 * 2.0
+    red, green, blue, _ = browser.execute_script(around, x - 0.5, 0.0)  # its roof
+    assert green > 120 and green > 2 * red and green > 2 * blue
+    red, green, blue, _ = browser.execute_script(around, x - 12.0, -1.2)  # the road behind it
+    assert max(red, green, blue) - min(red, green, blue) < 30
+
+
+def test_it_plays_steps_and_scrubs(browser: Any, run_folder: Path) -> None:
+    opened(browser, run_folder, f"#t={FIRST_S}")
+    pressed(browser, " ")
+    assert waited(browser, lambda now: now["time_s"] > FIRST_S + 0.25)["playing"]
+    pressed(browser, " ")
+    here = waited(browser, lambda now: not now["playing"])["time_s"]
+    pressed(browser, "\ue014")  # arrow right
+    waited(browser, lambda now: abs(now["time_s"] - here - DT_S) < 1e-6)
+    browser.execute_script(
+        "const bar = document.getElementById('scrub'); bar.value = arguments[0];"
+        "bar.dispatchEvent(new Event('input'))",
+        FIRST_S + 12.0,
+    )
+    waited(browser, lambda now: abs(now["time_s"] - FIRST_S - 12.0) < 1e-6)
+    waited(browser, lambda now: f"#t={FIRST_S + 12.0:.1f}" in browser.current_url)
+    assert browser.get_log("browser") == []
+
+
+def test_a_click_chooses_the_ego(browser: Any, run_folder: Path) -> None:
+    opened(browser, run_folder, f"#t={FIRST_S + 2.0}&ego=eastbound")
+    clicked_at(browser, (0.0, -36.0 + 8.0 * 2.0))
+    waited(browser, lambda now: now["ego"] == "northbound")
+    waited(browser, lambda now: "ego=northbound" in browser.current_url)
+    assert browser.find_element("css selector", "#panel h2").text == "northbound"
+
+
+def test_alerts_and_events_lead_to_their_moments(browser: Any, run_folder: Path) -> None:
+    opened(browser, run_folder, f"#t={FIRST_S}")
+    onset_s, crash_s = (FIRST_S + DT_S * frame for frame in (ALERT_FRAMES[0], COLLISION_FRAME))
+    pressed(browser, "\ue00f")  # page down
+    now = waited(browser, lambda now: abs(now["time_s"] - onset_s) < 1e-6)
+    assert [alert["type"] for alert in now["alerts"]] == ["CONFLICT"]
+    assert "near northbound" in browser.find_element("id", "panel").text
+    rows = browser.find_elements("css selector", "#moments tbody tr")
+    crash = next(row for row in rows if "T1" in row.text)
+    crash.find_element("tag name", "button").click()
+    now = waited(browser, lambda now: abs(now["time_s"] - crash_s) < 1e-6)
+    assert now["alerts"] == []
+
+
+def test_names_from_a_file_are_only_ever_text(browser: Any, tmp_path: Path) -> None:
+    folder = hostile_run(tmp_path / "run")
+    write_page(read_run(folder), folder, (20, HOSTILE[0]))
+    now = opened(browser, folder)
+    assert now["ego"] == HOSTILE[0]
+    pressed(browser, "n")
+    waited(browser, lambda now: now["ego"] == HOSTILE[1])
+    waited(browser, lambda now: "ego=%22%3E%3Csvg" in browser.current_url)
+    link = browser.current_url.partition("#")[2]
+    assert opened(browser, folder, f"#{link}")["ego"] == HOSTILE[1]
+    assert browser.find_element("css selector", "#panel h2").text.startswith('"><svg onload')
+    assert browser.find_elements("css selector", "img, svg, iframe, object, link") == []
+    assert browser.get_log("browser") == []
+
+
+@pytest.mark.parametrize("frames", [1, 30])
+def test_a_run_without_vehicles_opens_too(browser: Any, tmp_path: Path, frames: int) -> None:
+    folder = made_up_run(tmp_path / "run", frames=frames, names=(), finished=False)
+    write_page(read_run(folder), folder)
+    opened(browser, folder)
+    assert "stopped before its end" in browser.find_element("id", "unfinished").text
+    pressed(browser, " ", "n", "f", "\ue00f", "a")
+    assert browser.get_log("browser") == []
