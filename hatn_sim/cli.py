@@ -21,6 +21,7 @@ VERBS: Final = {
     "run": "simulate a scene, predict every vehicle, leave a log, scores and a picture",
     "score": "print the scores of one or more runs again, pooled",
     "report": "draw a picture and an animation of a run",
+    "figures": "draw figures for papers, of runs or of tables: PDF, SVG and PNG",
     "export": "write the tracks of a run as INTERACTION or SUMO floating car data",
     "assess": "judge alerts and suggestions over many runs by what really happened",
     "evaluate": "score predictors on many runs side by side, and print the tables of the paper",

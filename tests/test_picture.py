@@ -243,8 +243,8 @@ def test_wrong_frame_or_ego_of_a_moment(crossing: Run) -> None:
 def test_vehicles_are_where_they_were(crossing: Run, tmp_path: Path) -> None:
     from hatn_sim.report.canvas import PAPER, POSTER
 
-    draw_moment(crossing, 10, "eastbound", tmp_path / "one.png")
-    draw_moment(crossing, 10, "eastbound", tmp_path / "two.png")
+    draw_moment(crossing, 10, "eastbound", [tmp_path / "one.png"])
+    draw_moment(crossing, 10, "eastbound", [tmp_path / "two.png"])
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     pixels = np.asarray(Image.open(tmp_path / "one.png").convert("RGB")).astype(int)
     assert pixels.shape == (round(POSTER.height_in * 200), round(POSTER.width_in * 200), 3)
@@ -268,7 +268,7 @@ def test_vehicles_are_where_they_were(crossing: Run, tmp_path: Path) -> None:
 
 def test_a_moment_without_slots_is_drawn(tmp_path: Path) -> None:
     alone = write_run(tmp_path / "alone", frames=3, names=("eastbound",))
-    draw_moment(alone, 2, "eastbound", tmp_path / "alone.png")
+    draw_moment(alone, 2, "eastbound", [tmp_path / "alone.png"])
     assert (tmp_path / "alone.png").stat().st_size > 10_000
 
 

@@ -132,7 +132,7 @@ def draw(
 
     frame, ego = choose_moment(logged, time_s=time_s, ego_id=ego_id)
     paths = [out / "moment.png"]
-    draw_moment(logged, frame, ego, paths[0])
+    draw_moment(logged, frame, ego, [paths[0]])
     if animate:
         paths.append(out / "moment.gif")
         draw_animation(logged, frame, ego, paths[1])
