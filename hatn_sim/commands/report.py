@@ -127,7 +127,7 @@ def draw(
     ego_id: str | None = None,
 ) -> list[Path]:
     """Write `moment.png` and `moment.gif` into `out`; InputError where there is nothing to draw."""
-    from hatn_sim.report.animation import draw_animation
+    from hatn_sim.report.animation import around, draw_animation
     from hatn_sim.report.picture import choose_moment, draw_moment
 
     frame, ego = choose_moment(logged, time_s=time_s, ego_id=ego_id)
@@ -135,5 +135,5 @@ def draw(
     draw_moment(logged, frame, ego, [paths[0]])
     if animate:
         paths.append(out / "moment.gif")
-        draw_animation(logged, frame, ego, paths[1])
+        draw_animation(logged, around(logged, frame, ego), paths[1])
     return paths

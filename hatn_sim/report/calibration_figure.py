@@ -31,7 +31,7 @@ from hatn_sim.score.slot_calibration import ANSWERS, Reliability
 
 HEIGHT_IN: Final = 3.9
 FEW: Final = 5
-"""Points of fewer samples are hollow."""
+"""Points of fewer samples are hollow, without interval and line."""
 
 
 def draw_calibration(found: Sequence[Reliability], where: str, paths: Sequence[Path]) -> None:
@@ -58,7 +58,7 @@ def draw_calibration(found: Sequence[Reliability], where: str, paths: Sequence[P
         counts.set_xlim(0.0, 1.0)
         counts.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         counts.set_xlabel("said", fontsize=LABEL_PT, color=INK)
-        axes.legend(frameon=False, fontsize=NOTE_PT, labelcolor=INK, loc="upper left")
+        axes.legend(frameon=False, fontsize=NOTE_PT, labelcolor=INK, loc="lower right")
     above[0].set_ylabel("came true", fontsize=LABEL_PT, color=INK)
     below[0].set_ylabel("samples", fontsize=LABEL_PT, color=INK)
     head_chart(figure, f"Calibration of slot probabilities: {where}", TITLE_PT)
@@ -70,24 +70,18 @@ def _object(answer: str, title: str) -> str:
 
 
 def _points(axes: Axes, one: Reliability, colour: str) -> None:
-    there = one.n > 0
-    said, true = one.said[there], one.came_true[there]
-    reach = np.stack((true - one.low[there], one.high[there] - true))
+    """A line through what there are enough samples of; the others are hollow, beside it."""
+    many = one.n >= FEW
+    few = (one.n > 0) & ~many
+    reach = np.stack((one.came_true - one.low, one.high - one.came_true))
+    bars = np.nan_to_num(np.maximum(reach, 0.0))[:, many]
     axes.errorbar(
-        said, true, yerr=np.nan_to_num(np.maximum(reach, 0.0)),
-        fmt="none", ecolor=colour, elinewidth=0.9,
-    )  # fmt: skip
+        one.said[many], one.came_true[many], yerr=bars, fmt="none", ecolor=colour, elinewidth=0.9
+    )
     name = f"{one.predictor.replace('_', ' ')}: ECE {100.0 * one.ece:.1f} %, n = {one.n.sum():,}"
-    axes.plot(said, true, color=colour, lw=1.2, label=name)
-    few = one.n[there] < FEW
-    axes.scatter(
-        said,
-        true,
-        s=16,
-        zorder=3,
-        linewidths=0.9,
-        edgecolors=colour,
-        facecolors=["white" if hollow else colour for hollow in few],
+    axes.plot(one.said[many], one.came_true[many], "-o", color=colour, lw=1.2, ms=4.0, label=name)
+    axes.plot(
+        one.said[few], one.came_true[few], "o", ms=3.2, mfc="white", mec=colour, mew=0.7, alpha=0.6
     )
 
 
@@ -100,5 +94,5 @@ def _counts(axes: Axes, one: Reliability, number: int, of: int) -> None:
 def _dress(axes: Axes) -> None:
     dress(axes, TICK_PT)
     rule(axes)
-    axes.set_ylim(0.0, 1.02)
+    axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))

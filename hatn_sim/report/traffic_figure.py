@@ -88,7 +88,7 @@ def draw_traffic(
     _advice(advice, alerts, events)
     advice.set_xlabel("time, s", fontsize=LABEL_PT, color=INK)
     advice.set_xlim(float(time_s[0]), float(time_s[-1]))
-    figure.align_ylabels()
+    figure.align_ylabels([speeds, counts])
     head_chart(figure, f"Traffic, alerts and what really happened: {where}", TITLE_PT)
     save_figure(figure, paths)
 
