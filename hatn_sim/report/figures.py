@@ -68,6 +68,10 @@ def rule(axes: Axes) -> None:
 
 def save_figure(figure: Figure, paths: Sequence[Path], **options: Any) -> None:
     """Write a figure in the formats that the suffixes name: the same figure, the same bytes."""
+    if figure.get_layout_engine() is not None:
+        # Once for all formats: making room again moves what has room already by a little.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
     for path in paths:
         data = io.BytesIO()
         with mpl.rc_context(WRITING):

@@ -32,7 +32,7 @@ from hatn_sim.whole_file import write_whole
 RRD_FILE: Final = "run.rrd"
 WAY_POINT_FRAMES: Final = 5
 LEAST_CHANCE: Final = 0.05
-HEIGHTS_M: Final = {Kind.TRUCK: 3.2, Kind.BUS: 3.0, Kind.TRAM: 3.4, Kind.PEDESTRIAN: 1.8}
+HEIGHTS_M: Final = {Kind.LORRY: 3.2, Kind.BUS: 3.0, Kind.TRAM: 3.4, Kind.PEDESTRIAN: 1.8}
 CAR_M: Final = 1.5
 EDGE: Final = (150, 155, 160)
 PREDICTED: Final = (213, 94, 0)
@@ -202,8 +202,8 @@ def _send_plots(rr: Any, stream: Any, run: Run) -> None:
         change[min(frame, frames)] += {"onset": 1.0, "end": -1.0}.get(alert.edge, 0.0)
     for name, values in (
         ("vehicles", count.astype(np.float64)),
-        ("mean speed in mps", np.where(count > 0, total / np.maximum(count, 1), np.nan)),
-        ("open alerts", np.cumsum(change)[:frames]),
+        ("mean_speed_mps", np.where(count > 0, total / np.maximum(count, 1), np.nan)),
+        ("open_alerts", np.cumsum(change)[:frames]),
     ):
         columns = rr.Scalars.columns(scalars=values)
         stream.send_columns(f"/plots/{name}", _times(rr, run, np.arange(frames)), columns)
