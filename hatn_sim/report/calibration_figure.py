@@ -31,7 +31,7 @@ from hatn_sim.score.slot_calibration import ANSWERS, Reliability
 
 HEIGHT_IN: Final = 3.9
 FEW: Final = 5
-"""Points of fewer samples are hollow, without interval and line."""
+"""Points of fewer samples are hollow, without interval."""
 
 
 def draw_calibration(found: Sequence[Reliability], where: str, paths: Sequence[Path]) -> None:
@@ -70,7 +70,7 @@ def _object(answer: str, title: str) -> str:
 
 
 def _points(axes: Axes, one: Reliability, colour: str) -> None:
-    """A line through what there are enough samples of; the others are hollow, beside it."""
+    """What there are enough samples of, with intervals; the others are hollow."""
     many = one.n >= FEW
     few = (one.n > 0) & ~many
     reach = np.stack((one.came_true - one.low, one.high - one.came_true))
@@ -79,7 +79,7 @@ def _points(axes: Axes, one: Reliability, colour: str) -> None:
         one.said[many], one.came_true[many], yerr=bars, fmt="none", ecolor=colour, elinewidth=0.9
     )
     name = f"{one.predictor.replace('_', ' ')}: ECE {100.0 * one.ece:.1f} %, n = {one.n.sum():,}"
-    axes.plot(one.said[many], one.came_true[many], "-o", color=colour, lw=1.2, ms=4.0, label=name)
+    axes.plot(one.said[many], one.came_true[many], "o", color=colour, ms=4.0, label=name)
     axes.plot(
         one.said[few], one.came_true[few], "o", ms=3.2, mfc="white", mec=colour, mew=0.7, alpha=0.6
     )
