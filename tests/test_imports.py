@@ -32,6 +32,8 @@ ONLY_IN = {
     "pyproj": ("recordings",),
     "lanelet2": (),
     "matplotlib": ("report",),
+    "av": ("report.film_file",),
+    "rerun": ("report.rerun_file",),
     "rich": ("report", "commands"),
 }
 """Package -> the modules, or packages of modules, that may import it."""

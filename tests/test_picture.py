@@ -29,7 +29,7 @@ from hatn_sim.graph import build_graphs
 from hatn_sim.log import Run, RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, read_road, write_road
 from hatn_sim.perception import begin, perceive
-from hatn_sim.report.animation import draw_animation
+from hatn_sim.report.animation import around, draw_animation
 from hatn_sim.report.label_places import Label, place_labels
 from hatn_sim.report.moment import moment_at
 from hatn_sim.report.picture import camera, choose_moment, draw_moment
@@ -243,8 +243,8 @@ def test_wrong_frame_or_ego_of_a_moment(crossing: Run) -> None:
 def test_vehicles_are_where_they_were(crossing: Run, tmp_path: Path) -> None:
     from hatn_sim.report.canvas import PAPER, POSTER
 
-    draw_moment(crossing, 10, "eastbound", tmp_path / "one.png")
-    draw_moment(crossing, 10, "eastbound", tmp_path / "two.png")
+    draw_moment(crossing, 10, "eastbound", [tmp_path / "one.png"])
+    draw_moment(crossing, 10, "eastbound", [tmp_path / "two.png"])
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     pixels = np.asarray(Image.open(tmp_path / "one.png").convert("RGB")).astype(int)
     assert pixels.shape == (round(POSTER.height_in * 200), round(POSTER.width_in * 200), 3)
@@ -268,7 +268,7 @@ def test_vehicles_are_where_they_were(crossing: Run, tmp_path: Path) -> None:
 
 def test_a_moment_without_slots_is_drawn(tmp_path: Path) -> None:
     alone = write_run(tmp_path / "alone", frames=3, names=("eastbound",))
-    draw_moment(alone, 2, "eastbound", tmp_path / "alone.png")
+    draw_moment(alone, 2, "eastbound", [tmp_path / "alone.png"])
     assert (tmp_path / "alone.png").stat().st_size > 10_000
 
 
@@ -287,7 +287,7 @@ def test_a_film_of_an_unfinished_run(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", frames=14, finished=False)
     assert not run.finished
     for name in ("one.gif", "two.gif"):
-        draw_animation(run, 9, "eastbound", tmp_path / name, frames=6)
+        draw_animation(run, around(run, 9, "eastbound", 6), tmp_path / name)
     assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "two.gif").read_bytes()
     film = Image.open(tmp_path / "one.gif")
     assert (film.n_frames, film.size) == (6, (720, 480))
@@ -308,7 +308,7 @@ def _frame(film: Image.Image, index: int) -> np.ndarray:
 
 def test_a_film_is_shorter_where_the_run_is(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", frames=4)
-    draw_animation(run, 1, "northbound", tmp_path / "film.gif", frames=80)
+    draw_animation(run, around(run, 1, "northbound"), tmp_path / "film.gif")
     assert Image.open(tmp_path / "film.gif").n_frames == 4
 
 

@@ -1,7 +1,8 @@
-"""Write the tracks of a run in a format that other programs read, and hatn-sim too.
+"""Write a run in a format that other programs read.
 
 interaction: vehicle and pedestrian tracks as CSV files of the INTERACTION data set, and the road as
-a Lanelet2 map. fcd: SUMO's floating car data, and the road as hatn-sim keeps it.
+a Lanelet2 map. fcd: SUMO's floating car data, and the road as hatn-sim keeps it. hatn-sim reads
+both. rrd: all that there is to be seen, for Rerun's viewer (extra `viz`).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 import json
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +21,9 @@ if TYPE_CHECKING:
 EXAMPLES = """examples:
   hatn-sim export runs/intersection5-1 --format fcd
   hatn-sim export runs/intersection5-1 --format interaction --out tracks/intersection5
+  hatn-sim export runs/intersection5-1 --format rrd
 """
-FORMATS = ("interaction", "fcd")
+FORMATS = ("interaction", "fcd", "rrd")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,12 +54,15 @@ def main(arguments: argparse.Namespace) -> int:
             "are written",
             file=sys.stderr,
         )
+    if arguments.format == "rrd":
+        from hatn_sim.report.rerun_file import rerun_or_error
+
+        rerun_or_error()
     _make_folder(out)
     files = _export(run, arguments.format, out)
     for lost in _lost(run) if arguments.format == "interaction" else ():
         print(f"hatn-sim: the INTERACTION format has no place for {lost}", file=sys.stderr)
-    tracks, road = files[0], files[-1]
-    command = shlex.join(["hatn-sim", "run", "--tracks", str(tracks), "--map", str(road)])
+    command = _reader(files, arguments.format)
     if arguments.json:
         print(json.dumps({"files": [str(path) for path in files], "command": command}, indent=2))
         return 0
@@ -64,6 +70,13 @@ def main(arguments: argparse.Namespace) -> int:
         print(path)
     print(f"to read them: {command}")
     return 0
+
+
+def _reader(files: Sequence[Path], wanted: str) -> str:
+    """The command that reads what was written."""
+    if wanted == "rrd":
+        return shlex.join(["rerun", str(files[0])])
+    return shlex.join(["hatn-sim", "run", "--tracks", str(files[0]), "--map", str(files[-1])])
 
 
 def _lost(run: Run) -> list[str]:
@@ -92,6 +105,11 @@ def _export(run: Run, wanted: str, out: Path) -> tuple[Path, ...]:
             from hatn_sim.recordings.fcd.export import export_fcd
 
             return export_fcd(run, out)
+        if wanted == "rrd":
+            from hatn_sim.report.rerun_file import RRD_FILE, write_rrd
+
+            write_rrd(run, out / RRD_FILE)
+            return (out / RRD_FILE,)
         from hatn_sim.recordings.interaction.export import export_interaction
 
         return export_interaction(run, out)

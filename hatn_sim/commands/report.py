@@ -144,13 +144,13 @@ def show(
 
 def draw(logged: Run, out: Path, moment: tuple[int, str], animate: bool) -> list[Path]:
     """Write `moment.png`, and `moment.gif` if it is to be an animation, of (frame, ego)."""
-    from hatn_sim.report.animation import draw_animation
+    from hatn_sim.report.animation import around, draw_animation
     from hatn_sim.report.picture import draw_moment
 
     frame, ego = moment
     paths = [out / "moment.png"]
-    draw_moment(logged, frame, ego, paths[0])
+    draw_moment(logged, frame, ego, [paths[0]])
     if animate:
         paths.append(out / "moment.gif")
-        draw_animation(logged, frame, ego, paths[1])
+        draw_animation(logged, around(logged, frame, ego), paths[1])
     return paths

@@ -1,11 +1,12 @@
-"""A stretch of a run as a short animation (GIF)."""
+"""A stretch of a run as a film: MP4 or GIF."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -13,75 +14,132 @@ from hatn_sim.datatypes import DT_S, FloatArray
 from hatn_sim.errors import InputError
 from hatn_sim.log import Run
 from hatn_sim.log.road_file import ROAD_FILE, read_road
+from hatn_sim.report.film_file import Pixels, write_gif, write_mp4
 from hatn_sim.report.moment import Moment, read_moments
-from hatn_sim.report.picture import camera, caption
-from hatn_sim.whole_file import save_whole
+from hatn_sim.report.picture import WIDE_M, camera, caption
 
 if TYPE_CHECKING:
     from PIL import Image
 
-    from hatn_sim.report.canvas import Sheet
-
 FILM_FRAMES: Final = 80
 """Eight seconds."""
-WIDTH_PX: Final = 720
-COLOURS: Final = 160
-PALETTE_FRAMES: Final = 6
+GIF_WIDTH_PX: Final = 720
+LONGEST_GIF: Final = 600
+"""Frames; all of them are in memory at once."""
+FRAMES_PER_S: Final = 10
 SCALE_PX: Final = 120
+SMOOTH_FRAMES: Final = 20
+"""The camera follows the ego's mean place over so many frames before and behind."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What of a run is shown: an ego from one frame up to another that is not."""
+
+    ego_id: str
+    start: int
+    stop: int
+    follow: bool = False  # the camera goes with the ego; else it stands over where it chooses
+    speed: float = 1.0  # times real time
+
+    @property
+    def frames(self) -> range:
+        return range(self.start, self.stop)
+
+
+def around(run: Run, frame: int, ego_id: str, frames: int = FILM_FRAMES) -> Stretch:
+    """The frames around a moment, a third of them before it; fewer where the run is shorter."""
+    start = max(0, min(frame - frames // 3, run.frame_count - frames))
+    return Stretch(ego_id, start, min(start + frames, run.frame_count))
 
 
 def draw_animation(
-    run: Run, frame: int, ego_id: str, out_gif: Path, frames: int = FILM_FRAMES
+    run: Run,
+    stretch: Stretch,
+    path: Path,
+    tell: Callable[[int], None] = lambda _: None,
 ) -> None:
-    """Draw the frames around a moment of an ego, in real time; a third are before it.
+    """Draw a stretch into a .gif or .mp4; `tell` is told how many frames are done.
 
-    A film is shorter where the run is. All of its frames share one palette, so that colours do not
-    flicker. The same log gives the same bytes.
+    The same log gives the same bytes.
 
     Raises:
-        InputError: the ego is in none of these frames, or as for `picture.draw_moment`.
+        InputError: the ego is in none of these frames, a GIF would be too long, or as for
+            `picture.draw_moment`.
+        OSError: the file cannot be written.
     """
-    from hatn_sim.report.canvas import FILM, open_sheet
-
-    start = max(0, min(frame - frames // 3, run.frame_count - frames))
-    moments = list(read_moments(run, range(start, start + frames), ego_id))
-    with_ego = [moment for moment in moments if ego_id in moment.scene.ids]
-    if not with_ego:
+    if path.suffix == ".mp4":
+        per_s = Fraction(stretch.speed).limit_denominator(1000) * FRAMES_PER_S
+        write_mp4(path, _told(_pixels(run, stretch, path.suffix), tell), per_s)
+        return
+    if len(stretch.frames) > LONGEST_GIF:
         raise InputError(
-            f"{run.path}: vehicle {ego_id!r} is not in view in frames {start} to "
-            f"{start + len(moments) - 1}; name another vehicle or time"
+            f"{path}: a GIF of {len(stretch.frames)} frames; expected {LONGEST_GIF} at most: name "
+            "an .mp4, or a shorter stretch with --from and --to"
         )
-    wide, high = FILM.map_in
+    images = [_small(pixels) for pixels in _told(_pixels(run, stretch, path.suffix), tell)]
+    write_gif(path, images, round(1000 * DT_S / stretch.speed), _scale_image(images[0].size[0]))
+
+
+def _told(frames: Iterator[Pixels], tell: Callable[[int], None]) -> Iterator[Pixels]:
+    for number, pixels in enumerate(frames, start=1):
+        yield pixels
+        tell(number)
+
+
+def _pixels(run: Run, stretch: Stretch, suffix: str) -> Iterator[Pixels]:
+    """The frames; the road is drawn once, only what moves is drawn again."""
+    from hatn_sim.report.canvas import FILM, SCREEN
+    from hatn_sim.report.moving_sheet import MovingSheet
+
+    style = FILM if suffix == ".gif" else SCREEN
+    wide, high = style.map_in
+    centres, width_m, moments = _camera(run, stretch, wide / high)
+    lanes = read_road(run.path / ROAD_FILE)
+    sheet = MovingSheet(style, lanes, centres[0], width_m, moves=stretch.follow)
+    for moment, centre in zip(moments, centres, strict=False):
+        yield sheet.draw(moment, caption(run, moment), centre)
+
+
+def _camera(
+    run: Run, stretch: Stretch, aspect: float
+) -> tuple[FloatArray, float, Iterator[Moment] | Sequence[Moment]]:
+    """Centres [N, 2] of the camera, the width of what it sees, and the moments to be shown."""
+    frames = np.arange(stretch.start, stretch.stop)
+    found = read_moments(run, stretch.frames, stretch.ego_id)
+    if stretch.ego_id in run.ids:
+        ego = run.ids.index(stretch.ego_id)
+        xy_m, seen = run.trajectories.xy_at(ego, frames)
+        if not seen.any():
+            raise InputError(
+                f"{run.path}: vehicle {stretch.ego_id!r} is not in view in frames {stretch.start} "
+                f"to {stretch.stop - 1}; name another vehicle or time"
+            )
+        if stretch.follow:
+            return _smooth(frames, xy_m, seen), WIDE_M, found
+    moments = list(found)
+    with_ego = [moment for moment in moments if stretch.ego_id in moment.scene.ids]
     # What comes after the last choice is the ego on its way out of the picture.
     choosing = [moment for moment in with_ego if sum(slot.in_focus for slot in moment.slots) > 1]
-    centre, width_m = camera(choosing or with_ego, wide / high)
-    sheet = open_sheet(FILM, read_road(run.path / ROAD_FILE), centre, width_m)
-    captions = [caption(run, moment) for moment in moments]
-    _write_gif(list(_images(sheet, moments, captions)), out_gif)
+    centre, width_m = camera(choosing or with_ego, aspect)
+    return np.tile(centre, (len(frames), 1)), width_m, moments
 
 
-def _images(
-    sheet: Sheet, moments: Sequence[Moment], captions: Sequence[str]
-) -> Iterator[Image.Image]:
-    """The frames; the road is drawn once, only what moves is drawn again."""
+def _smooth(frames: Any, xy_m: FloatArray, seen: Any) -> FloatArray:
+    """The mean place of the ego around each frame; where it is out of view it stays."""
+    near = np.arange(-SMOOTH_FRAMES, SMOOTH_FRAMES + 1)
+    at = np.clip(frames[:, None] + near, frames[0], frames[-1])
+    return np.stack(
+        [np.interp(at, frames[seen], xy_m[seen, k]).mean(axis=1) for k in (0, 1)], axis=1
+    )
+
+
+def _small(pixels: Pixels) -> Image.Image:
     from PIL import Image
 
-    from hatn_sim.report.drawing import draw_moment_on
-
-    agg = sheet.agg
-    agg.draw()
-    empty = agg.copy_from_bbox(sheet.figure.bbox)
-    renderer = agg.get_renderer()
-    height_px = round(WIDTH_PX * sheet.style.height_in / sheet.style.width_in)
-    labels: dict[str, FloatArray] = {}
-    for moment, words in zip(moments, captions, strict=True):
-        agg.restore_region(empty)
-        artists, labels = draw_moment_on(sheet, moment, words, labels, blinking=True)
-        for artist in sorted(artists, key=lambda artist: artist.get_zorder()):
-            artist.draw(renderer)
-            artist.remove()
-        pixels = np.asarray(agg.buffer_rgba())[..., :3]
-        yield Image.fromarray(pixels).resize((WIDTH_PX, height_px), Image.Resampling.LANCZOS)
+    height_px = round(GIF_WIDTH_PX * pixels.shape[0] / pixels.shape[1])
+    image = Image.fromarray(pixels)
+    return image.resize((GIF_WIDTH_PX, height_px), Image.Resampling.LANCZOS)
 
 
 def _scale_image(wide_px: int) -> Image.Image:
@@ -96,31 +154,3 @@ def _scale_image(wide_px: int) -> Image.Image:
     over = STRIP_ALPHA * pure + (1.0 - STRIP_ALPHA) * np.array(to_rgb(ASPHALT))
     rows = np.concatenate((pure, over)).repeat(SCALE_PX // 2, axis=0)
     return Image.fromarray((255.0 * rows).round().astype(np.uint8))
-
-
-def _write_gif(images: Sequence[Image.Image], out_gif: Path) -> None:
-    from PIL import Image
-
-    step = max(1, len(images) // PALETTE_FRAMES)
-    samples = images[::step]
-    wide, high = images[0].size
-    strip = Image.new("RGB", (wide, high * len(samples) + SCALE_PX))
-    for row, image in enumerate(samples):
-        strip.paste(image, (0, row * high))
-    # The probability scale is small in every frame, but all of its colours are needed.
-    strip.paste(_scale_image(wide), (0, high * len(samples)))
-    palette = strip.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, kmeans=1)
-    # No dithering: it would crawl, and triple the size.
-    indexed = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    data = io.BytesIO()
-    indexed[0].save(
-        data,
-        format="GIF",
-        save_all=True,
-        append_images=indexed[1:],
-        duration=round(1000 * DT_S),
-        loop=0,
-        optimize=False,
-        disposal=1,
-    )
-    save_whole(out_gif, data.getbuffer())

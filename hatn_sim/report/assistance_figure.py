@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
 from hatn_sim.report.canvas import INK
-from hatn_sim.report.figures import dress, head_chart, new_chart, rule, save_figure
+from hatn_sim.report.figures import COLOURS, dress, head_chart, new_chart, rule, save_figure
 from hatn_sim.score.sweep import Operating
 
 PANELS: Final = {
@@ -21,8 +21,6 @@ PANELS: Final = {
     "recall_1s5": "preceded by 1.5 s or more",
     "lead_time_s": "median lead time in s",
 }
-COLOURS: Final = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#8a8f98")
-"""Of Okabe and Ito; the first is ours."""
 WIDTH_IN: Final = 11.0
 ROW_IN: Final = 2.6
 EDGES_IN: Final = 1.1

@@ -81,6 +81,8 @@ class Style:
 
 POSTER: Final = Style(9.0, 6.3, 200, 9.0, 0.22, 0.74, 0.56)
 FILM: Final = Style(7.2, 4.8, 200, 7.4, 0.12, 0.56, 0.42)
+SCREEN: Final = Style(9.6, 5.4, 200, 8.6, 0.15, 0.64, 0.46)
+"""1920 x 1080."""
 
 
 @dataclass(frozen=True, eq=False)

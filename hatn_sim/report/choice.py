@@ -19,7 +19,10 @@ IN_PICTURE_M: Final = 32.0
 
 
 def choose_moment(
-    run: Run, time_s: float | None = None, ego_id: str | None = None
+    run: Run,
+    time_s: float | None = None,
+    ego_id: str | None = None,
+    frames: range | None = None,
 ) -> tuple[int, str]:
     """The most telling moment of a run and its ego: (frame, ego id).
 
@@ -37,6 +40,7 @@ def choose_moment(
         run: the log.
         time_s: look only at the predicted frame nearest to this time of the simulation.
         ego_id: look only at this vehicle.
+        frames: look only at these, an unbroken stretch.
 
     Raises:
         InputError: nothing was predicted, nobody stays in view for 3 s after a prediction, or there
@@ -44,10 +48,17 @@ def choose_moment(
     """
     table = main_predictions(run)
     wanted = _wanted(run, table, time_s, ego_id)
+    if frames is not None:
+        wanted &= (table.frame >= frames.start) & (table.frame < frames.stop)
+        if not wanted.any():
+            raise InputError(
+                f"{run.path}: nobody is predicted in frames {frames.start} to {frames.stop - 1}; "
+                "name another time"
+            )
     trajectories = run.trajectories
     stays = wanted & trajectories.seen(table.vehicle, table.frame, table.frame + HORIZON_FRAMES)
     if not stays.any():
-        if time_s is None:
+        if time_s is None and frames is None:
             raise InputError(
                 f"{run.path}: nobody is in view for 3 s after a prediction, so there is nothing to "
                 "draw; make a longer run"

@@ -13,8 +13,7 @@ from matplotlib.axes import Axes
 
 from hatn_sim.datatypes import Score
 from hatn_sim.report.canvas import INK, SOFT_INK
-from hatn_sim.report.figures import dress, head_chart, new_chart, rule, save_figure
-from hatn_sim.report.steps_figure import COLOURS
+from hatn_sim.report.figures import COLOURS, dress, head_chart, new_chart, rule, save_figure
 from hatn_sim.score.closed_loop_rows import REFERENCE
 
 ACROSS: Final = "ade_3s"

@@ -1,4 +1,4 @@
-"""A moment of a run as a picture (PNG)."""
+"""A moment of a run as a picture."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ WIDE_M: Final = 88.0
 PADDING_M: Final = 9.0
 
 
-def draw_moment(run: Run, frame: int, ego_id: str, out_png: Path) -> None:
-    """Draw the moment of `frame` for an ego; the same log gives the same bytes.
+def draw_moment(run: Run, frame: int, ego_id: str, paths: Sequence[Path]) -> None:
+    """Draw the moment of `frame` for an ego into files, in the format that their suffix names.
+
+    The same log gives the same bytes.
 
     Raises:
         InputError: the ego is not in view there, or the folder of the run lacks what it takes.
@@ -38,7 +40,7 @@ def draw_moment(run: Run, frame: int, ego_id: str, out_png: Path) -> None:
     centre, width_m = camera([moment], wide / high)
     sheet = open_sheet(POSTER, lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
-    save_figure(sheet.figure, [out_png])
+    save_figure(sheet.figure, paths)
 
 
 def caption(run: Run, moment: Moment) -> str:

@@ -13,15 +13,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
+from hatn_sim.errors import InputError
 from hatn_sim.report.canvas import INK, SOFT_INK
-from hatn_sim.report.figures import dress, head_chart, new_chart, save_figure
+from hatn_sim.report.figures import COLOURS, dress, head_chart, new_chart, save_figure
+from hatn_sim.report.kept_numbers import numbers, read_csv
 from hatn_sim.score.steps import StepErrors
 from hatn_sim.whole_file import save_csv
 
-COLOURS: Final = (
-    "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8f98",
-)  # fmt: skip
-"""Okabe and Ito's, told apart by the colour-blind, and grey."""
 SUBSETS: Final = {"all": "all samples", "moving": "moving samples"}
 WIDTH_IN: Final = 9.0
 ROW_IN: Final = 3.2
@@ -42,6 +40,26 @@ def write_steps(path: Path, errors: Sequence[StepErrors]) -> None:
             at = (step + 1, f"{TIMES_S[step]:.1f}")
             rows.append((one.scene, one.predictor, one.subset, *at, *told, one.n))
     save_csv(path, rows)
+
+
+def read_steps(path: Path) -> list[StepErrors]:
+    """What `write_steps` wrote. InputError where it is damaged."""
+    found: dict[tuple[str, str, str], list[dict[str, str]]] = {}
+    for row in read_csv(path, COLUMNS):
+        found.setdefault((row["scene"], row["predictor"], row["subset"]), []).append(row)
+    for rows in found.values():
+        if [row["step"] for row in rows] != [str(step + 1) for step in range(HORIZON_FRAMES)]:
+            raise InputError(
+                f"{path}: expected steps 1 to {HORIZON_FRAMES} of each curve; the file is damaged"
+            )
+    return [
+        StepErrors(
+            *key,
+            *(numbers(rows, name, path) for name in ("mean_m", "std_m", "low_m", "high_m")),
+            n=int(numbers(rows[:1], "n", path)[0]),
+        )
+        for key, rows in found.items()
+    ]
 
 
 def draw_steps(errors: Sequence[StepErrors], paths: Sequence[Path], subset: str = "moving") -> None:

@@ -1,0 +1,73 @@
+"""The figures there are of a run's log, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from hatn_sim.errors import InputError
+from hatn_sim.log import Run
+
+Draw = Callable[[Run, Sequence[Path]], None]
+
+
+def where(run: Run) -> str:
+    """What a run is of, in a few words."""
+    words = str(run.header.get("title") or run.header.get("scene") or run.path.name)
+    seed = run.header.get("seed")
+    return words if seed is None else f"{words}, seed {seed}"
+
+
+def _moment(run: Run, paths: Sequence[Path]) -> None:
+    from hatn_sim.report.picture import choose_moment, draw_moment
+
+    draw_moment(run, *choose_moment(run), paths)
+
+
+def _traffic(run: Run, paths: Sequence[Path]) -> None:
+    from hatn_sim.report.traffic_figure import draw_traffic
+    from hatn_sim.score.close_passes import close_passes
+    from hatn_sim.score.driven import driven_in
+    from hatn_sim.score.events import severe_events
+    from hatn_sim.score.logged import alerts_in
+
+    if not len(run.ids):
+        raise InputError(f"{run.path}: no vehicles in this run, nothing to draw")
+    driven = driven_in(run)
+    events = [*severe_events(driven), *close_passes(driven)]
+    draw_traffic(run, alerts_in(run), events, where(run), paths)
+
+
+def _calibration(run: Run, paths: Sequence[Path]) -> None:
+    from hatn_sim.report.calibration_figure import draw_calibration
+    from hatn_sim.score.slot_calibration import slot_reliability
+
+    found = slot_reliability(run)
+    if not found:
+        raise InputError(
+            f"{run.path}: nobody of this run had slots to choose from whose outcome is known; make "
+            "a longer run with --predictor hatn"
+        )
+    draw_calibration(found, where(run), paths)
+
+
+def _errors(run: Run, paths: Sequence[Path]) -> None:
+    from hatn_sim.report.steps_figure import draw_steps
+    from hatn_sim.score.steps import errors_by_step
+
+    errors = [one for one in errors_by_step([run]) if one.subset == "moving"]
+    if not errors:
+        raise InputError(
+            f"{run.path}: no moving vehicle was predicted and then seen for 3 s; make a longer run"
+        )
+    draw_steps(errors, paths)
+
+
+RUN_FIGURES: Final[Mapping[str, Draw]] = {
+    "moment": _moment,
+    "traffic": _traffic,
+    "calibration": _calibration,
+    "errors": _errors,
+}
+"""Each raises InputError where the run lacks what it takes."""

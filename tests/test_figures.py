@@ -1,0 +1,227 @@
+"""Figures of runs and of tables, and films, on a crossing made by hand."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_picture import FRAMES, SPEED_MPS, START_M, write_run
+
+from hatn_sim.cli import main
+from hatn_sim.datatypes import HORIZON_FRAMES
+from hatn_sim.evaluation.comparison import write_curves
+from hatn_sim.log import Run
+from hatn_sim.report.kept_numbers import read_curves, read_scores
+from hatn_sim.report.steps_figure import read_steps, write_steps
+from hatn_sim.report.table import write_scores
+from hatn_sim.report.traffic_figure import speeds_over_time
+from hatn_sim.score.prediction import score_runs
+from hatn_sim.score.slot_calibration import reliability, slot_reliability
+from hatn_sim.score.steps import StepErrors, errors_by_step
+from hatn_sim.score.sweep import Operating
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return write_run(tmp_path_factory.mktemp("runs") / "crossing")
+
+
+# -- what is drawn --------------------------------------------------------------------------------
+
+
+def test_reliability_by_hand() -> None:
+    said = np.array([0.51, 0.52, 0.99, 1.0, 0.97])
+    true = np.array([True, False, True, True, False])
+    found = reliability("made_up", "likeliest", said, true, np.arange(5))
+    # Of 15 bins, the eighth begins at 7/15 = 0.467, the last at 14/15 = 0.933.
+    assert found.n.tolist() == [0] * 7 + [2] + [0] * 6 + [3]
+    assert found.said[7] == pytest.approx(0.515) and found.came_true[7] == pytest.approx(0.5)
+    assert found.came_true[14] == pytest.approx(2.0 / 3.0)
+    gap = 2.0 * (0.515 - 0.5) + 3.0 * ((0.99 + 1.0 + 0.97) / 3.0 - 2.0 / 3.0)
+    assert found.ece == pytest.approx(gap / 5.0)
+    assert np.isnan(found.low[0]) and found.low[14] <= 2.0 / 3.0 <= found.high[14]
+
+
+def test_calibration_is_that_of_the_scores(crossing: Run) -> None:
+    (score,) = [s for s in score_runs([crossing]) if s.measure == "slot_ece"]
+    found = [one for one in slot_reliability(crossing) if one.answer == "likeliest"]
+    assert (sum(one.n.sum() for one in found), bool(found)) == (score.n, score.n > 0)
+    for one in found:
+        assert one.ece == pytest.approx(score.value)
+
+
+def test_speeds_are_numpys_quantiles(crossing: Run) -> None:
+    count, quantiles = speeds_over_time(crossing)
+    assert count.tolist() == [2.0] * FRAMES
+    np.testing.assert_allclose(quantiles, SPEED_MPS)
+    tracks = crossing.tracks
+    rng = np.random.default_rng(0)
+    speed = rng.uniform(0.0, 20.0, len(tracks.speed_mps))
+    object.__setattr__(tracks, "speed_mps", speed)
+    _, quantiles = speeds_over_time(crossing)
+    for frame in range(0, FRAMES, 7):
+        expected = np.quantile(speed[tracks.frame == frame], (0.1, 0.5, 0.9))
+        np.testing.assert_allclose(quantiles[:, frame], expected)
+
+
+# -- numbers that are kept ------------------------------------------------------------------------
+
+
+def test_what_is_written_is_read(tmp_path: Path, crossing: Run) -> None:
+    errors = errors_by_step([crossing])
+    write_steps(tmp_path / "steps.csv", errors)
+    for one, again in zip(errors, read_steps(tmp_path / "steps.csv"), strict=True):
+        assert (one.scene, one.predictor, one.subset, one.n) == (
+            again.scene, again.predictor, again.subset, again.n,
+        )  # fmt: skip
+        np.testing.assert_allclose(again.mean_m, one.mean_m, atol=1e-6)
+        np.testing.assert_allclose(again.low_m, one.low_m, atol=1e-6)
+    curves = {"a": {"hatn": [Operating(0.5, 1.0, 0.9, 0.8, float("nan"))], "ttc": []}}
+    write_curves(tmp_path / "curves.csv", curves)
+    (again,) = read_curves(tmp_path / "curves.csv")["a"]["hatn"]
+    assert again.event_recall == 0.9 and np.isnan(again.lead_time_s)
+    scores = score_runs([crossing])
+    assert read_scores(write_scores(tmp_path, scores)) == scores
+
+
+def test_a_table_is_drawn_from_its_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rising = np.linspace(0.1, 3.0, HORIZON_FRAMES)
+    write_steps(
+        tmp_path / "steps.csv", [StepErrors("a", "b", "moving", rising, rising, rising, rising, 9)]
+    )
+    assert main(["figures", str(tmp_path)]) == 0
+    told = [Path(line) for line in capsys.readouterr().out.split()]
+    assert [path.name for path in told] == ["steps.pdf", "steps.svg", "steps.png"]
+    first = [path.read_bytes() for path in told]
+    # Fonts are TrueType; Type 3 is refused by printers.
+    assert b"/FontFile2" in first[0] and b"/Type3" not in first[0]
+    assert b"<text" not in first[1]
+    assert main(["figures", str(tmp_path), "--formats", "svg,pdf,png"]) == 0
+    assert [path.read_bytes() for path in told] == first
+
+
+def test_figures_of_a_run(crossing: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["figures", str(crossing.path), "--only", "traffic,moment", "--formats", "png"]
+    assert main(words) == 0
+    for line in capsys.readouterr().out.split():
+        assert min(Image.open(line).size) > 500
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--only", "trafic"], "did you mean 'traffic'"),
+        (["--formats", "pgn"], "did you mean 'png'"),
+        (["--only", "sequence"], "no case to draw"),
+    ],
+)
+def test_wrong_wishes(
+    crossing: Run, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["figures", str(crossing.path), *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("nothing", "", "found none to draw"),
+        ("steps.csv", "a,b\n", "expected a column 'scene'"),
+        ("scores.json", "{", "found damage"),
+    ],
+)
+def test_folders_that_lack_something(
+    tmp_path: Path, name: str, content: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_text(content)
+    assert main(["figures", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert said in error and "Traceback" not in error
+
+
+# -- films ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(find_spec("av") is None, reason="PyAV (extra `video`) is not installed")
+def test_a_film_follows_its_ego(crossing: Run, tmp_path: Path) -> None:
+    import av
+
+    out = tmp_path / "film.mp4"
+    words = ["animate", str(crossing.path), "--from", "101", "--to", "101.4", "--speed", "2"]
+    assert main([*words, "--ego", "eastbound", "--out", str(out)]) == 0
+    with av.open(str(out)) as film:
+        stream = film.streams.video[0]
+        assert (stream.width, stream.height) == (1920, 1080)
+        assert (stream.codec_context.name, stream.average_rate) == ("h264", 20)
+        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert len(frames) == 5
+
+
+def test_the_camera_keeps_the_ego_and_moves_the_other(crossing: Run) -> None:
+    from hatn_sim.report.animation import Stretch, _camera
+
+    centres, _, _ = _camera(crossing, Stretch("eastbound", 10, 40, follow=True), 1.6)
+    along_m = START_M["eastbound"] + 0.1 * SPEED_MPS * np.arange(10, 40)
+    # In the middle of a stretch of even speed the mean place is the place.
+    assert abs(centres[15, 0] - along_m[15]) < 0.5
+    assert (np.diff(centres[:, 0]) >= 0.0).all() and not centres[:, 1].any()
+
+
+def test_a_moving_sheet_shows_what_a_standing_one_does(crossing: Run) -> None:
+    from hatn_sim.log.road_file import ROAD_FILE, read_road
+    from hatn_sim.report.canvas import FILM
+    from hatn_sim.report.moment import moment_at
+    from hatn_sim.report.moving_sheet import MovingSheet
+
+    lanes = read_road(crossing.path / ROAD_FILE)
+    moment = moment_at(crossing, 20, "eastbound")
+    here, there = np.zeros(2), np.array([4.0, 3.0])
+    moving = MovingSheet(FILM, lanes, here, 80.0, moves=True)
+    moving.draw(moment, "", here)
+    standing = MovingSheet(FILM, lanes, there, 80.0, moves=False)
+    pixels = [sheet.draw(moment, "", there).astype(int) for sheet in (moving, standing)]
+    # Up to half a pixel apart: edges differ, areas do not.
+    assert (np.abs(pixels[0] - pixels[1]).max(axis=2) > 60).mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--from", "90"], "expected rising times between 100.0 and 106.9 s"),
+        (["--from", "104", "--to", "103"], "expected rising times"),
+        (["--ego", "eastbond"], "did you mean 'eastbound'"),
+        (["--out", "film.avi"], "ends in .mp4 or .gif"),
+    ],
+)
+def test_wrong_films(
+    crossing: Run, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["animate", str(crossing.path), "--out", "film.gif", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+# -- rerun ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk (extra `viz`) is not installed")
+def test_reruns_own_tools_read_the_export(crossing: Run, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    assert (
+        main(["export", str(crossing.path), "--format", "rrd", "--out", str(tmp_path / "x")]) == 0
+    )
+    path = str(tmp_path / "x" / "run.rrd")
+    rerun = [sys.executable, "-m", "rerun_cli", "rrd"]
+    assert subprocess.run([*rerun, "verify", path], capture_output=True).returncode == 0
+    printed = subprocess.run([*rerun, "print", path], capture_output=True, text=True)
+    for entity in ("/vehicles", "/predictions", "/conflicts", "/road/lanes", "/plots/vehicles"):
+        assert entity in printed.stdout
+    assert json.loads((crossing.path / "run.json").read_text())["frames"] == FRAMES
