@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 
 from hatn_sim.datatypes import Alert, FloatArray, Prediction, Scene
-from hatn_sim.report.canvas import INK, PREDICTED, PROBABILITY
+from hatn_sim.report.canvas import ACTUAL, PREDICTED, PROBABILITY
 from hatn_sim.report.moment import moves, slot_strip
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo_messages import Mark, Paint, Picture, Ribbon
@@ -63,7 +63,9 @@ def picture_of(
                 if m > 0:
                     vehicles[rear_id] = paint
                     at = graphs.conflict_xy_m[row, m]
-                    marks[f"conflict:{ego_id}:{rear_id}"] = Mark(at, MARK_WIDTH_M, _paint(INK, 1.0))
+                    marks[f"conflict:{ego_id}:{rear_id}"] = Mark(
+                        at, MARK_WIDTH_M, _paint(ACTUAL, 1.0)
+                    )
     vehicles |= {name: EGO_PAINT for name in egos if name in scene.ids}
     vehicles |= {name: ALERTED_PAINT for name in alerted if name in scene.ids}
     return Picture(ribbons, marks, vehicles, followed)
