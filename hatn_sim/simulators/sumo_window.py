@@ -36,6 +36,10 @@ def window_options(delay_ms: float) -> tuple[str, ...]:
     return START, "true", "--delay", f"{delay_ms:g}"
 
 
+SUMO_DEFAULT_COLOUR: Final = (255, 255, 0, 255)
+"""Of a vehicle without a colour of its own; its type's counts then."""
+
+
 class Canvas:
     """What is drawn in the window now. Things that stay are moved, so that nothing flickers."""
 
@@ -87,12 +91,19 @@ class Canvas:
             if name not in present:
                 continue
             own, last = self._painted.get(name, (None, None))
-            painted[name] = (vehicle.getColor(name) if own is None else own), paint
+            painted[name] = (self._own(name) if own is None else own), paint
             if paint != last:
                 vehicle.setColor(name, paint)
         for name in (self._painted.keys() - painted.keys()) & present:
             vehicle.setColor(name, self._painted[name][0])
         self._painted = painted
+
+    def _own(self, name: str) -> Paint:
+        """A vehicle's colour, or its type's where it has none of its own."""
+        own = self._sumo.vehicle.getColor(name)
+        if own != SUMO_DEFAULT_COLOUR:
+            return own
+        return self._sumo.vehicletype.getColor(self._sumo.vehicle.getTypeID(name))
 
     def _follow(self, wanted: str | None) -> str:
         """Goes with a vehicle from its first moment on; then the user may choose another."""

@@ -61,10 +61,8 @@ from hatn_sim.simulators.sumo_rows import (
     OWN_SPEED_MODE,
     ROUNDING_MPS,
 )
-from hatn_sim.simulators.sumo_window import START, Canvas
+from hatn_sim.simulators.sumo_window import START, SUMO_DEFAULT_COLOUR, Canvas
 
-SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
-"""Of a vehicle without a colour of its own; its type's counts then."""
 PEDESTRIAN_PREFIX = "person:"
 """Persons and vehicles may bear the same name; in a scene no two road users may."""
 
