@@ -22,6 +22,10 @@ class SimulatorError(HatnSimError):
     """The simulator failed in the middle of a run. Exit code 1."""
 
 
+class WindowClosedError(HatnSimError):
+    """The user has closed the simulator's window in the middle of a run."""
+
+
 TOLD_NAMES = 40
 """Of a recording's thousands of vehicles not all are listed."""
 

@@ -6,13 +6,20 @@ from typing import Any
 
 from hatn_sim.config import Scenario
 from hatn_sim.datatypes import Simulator
+from hatn_sim.errors import InputError
 
 
-def open_traffic(scenario: Scenario) -> Simulator:
+def open_traffic(scenario: Scenario, window_delay_ms: float | None = None) -> Simulator:
     """The simulator of a scene, not yet reset; to be closed after use.
 
+    With `window_delay_ms` in SUMO's window, at so many milliseconds for each second of the scene.
     Raises InputError where the scene's files are at fault, or where what it needs is missing.
     """
+    if window_delay_ms is not None and (scenario.highway or scenario.recorded) is not None:
+        raise InputError(
+            f"{scenario.name}: --gui opens SUMO's window, which shows scenes of SUMO alone; "
+            "leave it out"
+        )
     if scenario.highway is not None:
         from hatn_sim.simulators.highway import HighwaySimulator
 
@@ -30,7 +37,11 @@ def open_traffic(scenario: Scenario) -> Simulator:
         return open_replay(recording, replay.net_path, replay.take_over, replay.react_from_s)
     from hatn_sim.simulators.sumo import SumoSimulator
 
-    return SumoSimulator(scenario)
+    if window_delay_ms is None:
+        return SumoSimulator(scenario)
+    from hatn_sim.simulators.sumo_window import window_options
+
+    return SumoSimulator(scenario, window_options(window_delay_ms))
 
 
 def found_out(simulator: Simulator) -> dict[str, Any]:

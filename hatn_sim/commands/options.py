@@ -56,6 +56,14 @@ def seconds_or_none(text: str) -> float:
     return value
 
 
+def milliseconds(text: str) -> float:
+    """A duration in milliseconds, 0 or more."""
+    value = _number(text)
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"expected milliseconds, 0 or more, found {text!r}")
+    return value
+
+
 def names(text: str) -> tuple[str, ...]:
     """Names parted by commas."""
     return tuple(name.strip() for name in text.split(",") if name.strip())

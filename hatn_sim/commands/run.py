@@ -28,6 +28,7 @@ from hatn_sim.commands.options import (
     chosen_scenario,
     chosen_seed,
     default_warm_up_s,
+    milliseconds,
     names,
     rates,
     seconds,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from hatn_sim.learn.others_choice import OthersChoice
     from hatn_sim.log import RunWriter
     from hatn_sim.loop import Driver
+    from hatn_sim.report.window import Window
     from hatn_sim.score.what_if import WhatIf
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
@@ -55,6 +57,8 @@ EXAMPLES = """examples:
   hatn-sim run --tracks site/vehicle_tracks_000.csv --map site.osm --net site.net.xml --drive 12@8
 """
 DURATION_S = 60.0
+DELAY_MS = 200.0
+"""For a warm-up that does not take a minute, and traffic that the eye can follow."""
 NOBODY_DRIVEN = 2
 """Exit status of a run in which none of the vehicles of --drive was there."""
 
@@ -127,6 +131,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="where the log goes; must not exist (default: the first free runs/SCENE-N)",
     )
+    parser.add_argument(
+        "--gui",
+        action="store_true",
+        help="watch the run in SUMO's own window, with predictions, slots and alerts drawn over "
+        "the traffic; closing it ends the run",
+    )
+    parser.add_argument(
+        "--delay",
+        type=milliseconds,
+        metavar="MS",
+        help="with --gui: milliseconds for each second of the scene, predictions excepted, as on "
+        f"the window's own slider (default: {DELAY_MS:g})",
+    )
+    parser.add_argument(
+        "--ego",
+        metavar="ID",
+        help="with --gui: the vehicle that the window follows (default: none; shown is then who "
+        "has to choose, or whom you track in the window)",
+    )
     parser.add_argument("--no-page", action="store_true", help="leave out report.html")
     parser.add_argument(
         "--no-picture", action="store_true", help="leave out the picture and report.html"
@@ -153,6 +176,7 @@ def main(arguments: argparse.Namespace) -> int:
 
     started = time.monotonic()
     _check_assist(arguments)
+    _check_window(arguments)
     scenario = with_driving(chosen_scenario(arguments), arguments)
     arguments.seed = chosen_seed(arguments, scenario)
     given: Path | None = arguments.assist_settings
@@ -179,7 +203,7 @@ def main(arguments: argparse.Namespace) -> int:
     seen = said_of_seen(predictors, pieces_of(scenario, arguments.seed))
     where = ""
     try:
-        with closing(open_traffic(scenario)) as simulator:
+        with closing(open_traffic(scenario, arguments.delay)) as simulator:
             first = simulator.reset(arguments.seed or 0)
             if choice is not None:
                 choose_lines_by(simulator.road, choice)
@@ -211,6 +235,22 @@ def _check_assist(arguments: argparse.Namespace) -> None:
             f"--assist --adapt {arguments.adapt}: everybody is advised, and nobody who is advised "
             "is adapted; name those advised with --egos, or leave out --adapt"
         )
+
+
+def _check_window(arguments: argparse.Namespace) -> None:
+    from hatn_sim.errors import InputError
+
+    if arguments.gui:
+        if arguments.counterfactuals is not None:
+            raise InputError(
+                "--counterfactuals goes with no --gui: a run with a window cannot be branched; "
+                "leave one of them out"
+            )
+        arguments.delay = DELAY_MS if arguments.delay is None else arguments.delay
+        return
+    for option, value in (("--delay", arguments.delay), ("--ego", arguments.ego)):
+        if value is not None:
+            raise InputError(f"{option} {value} goes with --gui; add it")
 
 
 def _check_out(out: Path) -> None:
@@ -269,6 +309,7 @@ def _simulate(
     writer: RunWriter,
 ) -> Simulated:
     from hatn_sim.commands.progress import Progress
+    from hatn_sim.errors import WindowClosedError
     from hatn_sim.loop import Adviser, run, warm_up
     from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
@@ -280,6 +321,7 @@ def _simulate(
     total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))
     began = time.monotonic()
     what_if, main = _what_if(arguments, simulator), predictors[0].name
+    window, frames = _window(arguments, simulator), 0
     with Progress(simulator.name, total, simulator.dt_s, arguments.quiet) as progress:
 
         def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
@@ -287,8 +329,16 @@ def _simulate(
             if what_if is not None:
                 writer.write_counterfactuals(what_if.see(index, frame, advice[main]))
             progress.show(index + 1, len(frame.scene.ids))
+            nonlocal frames
+            frames = index + 1
+            if window is not None:
+                window.show(frame.scene, advice[main])
 
-        frames = run(simulator, advisers, frame, total or sys.maxsize, write, drivers)
+        try:
+            run(simulator, advisers, frame, total or sys.maxsize, write, drivers)
+        except WindowClosedError as error:
+            print(f"hatn-sim: {error}: the run ends here", file=sys.stderr)
+            total = None
         if what_if is not None:
             writer.write_counterfactuals(what_if.finish())
     seconds = time.monotonic() - began
@@ -298,6 +348,17 @@ def _simulate(
     if isinstance(simulator, SumoReplay):
         replay = simulator.fidelity, simulator.divergence
     return Simulated(frames, began, seconds, replay)
+
+
+def _window(arguments: argparse.Namespace, simulator: Simulator) -> Window | None:
+    """SUMO's window, if the run is to be watched in it."""
+    if not arguments.gui:
+        return None
+    from hatn_sim.report.window import Window
+    from hatn_sim.simulators.sumo import SumoSimulator
+
+    assert isinstance(simulator, SumoSimulator)
+    return Window(simulator, frozenset(arguments.egos or ()), arguments.ego)
 
 
 def _what_if(arguments: argparse.Namespace, simulator: Simulator) -> WhatIf | None:

@@ -22,7 +22,7 @@ from hatn_sim.datatypes import (
     Scene,
     Truth,
 )
-from hatn_sim.errors import InputError, SimulatorError
+from hatn_sim.errors import InputError, SimulatorError, WindowClosedError
 from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import (
@@ -33,18 +33,22 @@ from hatn_sim.simulators.sumo_messages import (
     AwaitBranch,
     BranchEnded,
     BranchesStarted,
+    Drawn,
     Failed,
     JunctionFoes,
     LaneFoes,
+    Picture,
     RawFrame,
     Refused,
     Spawn,
     Spawned,
     StartBranches,
     Started,
+    WindowClosed,
     accelerations,
 )
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, Workers, one_line
+from hatn_sim.simulators.sumo_window import START
 
 if TYPE_CHECKING:
     from hatn_sim.config import Scenario
@@ -71,7 +75,7 @@ class SumoSimulator:
         Raises InputError where the scene's configuration is at fault.
         """
         self.scenario = scenario
-        options, self.notices = start_options(scenario)
+        options, self.notices = start_options(scenario, has_window=START in extra_options)
         self._options = (*options, *extra_options)
         self._workers = Workers()
         self._worker: SumoWorker | None = None
@@ -211,6 +215,15 @@ class SumoSimulator:
         assert isinstance(answer, BranchEnded)
         return None if answer.pickled is None else pickle.loads(answer.pickled)
 
+    def draw(self, picture: Picture) -> str:
+        """Draws in SUMO's window; the vehicle that the user has it follow, "" for none.
+
+        No time passes, and the traffic is as it was. Raises as `step` does.
+        """
+        answer = self._inquire(picture)
+        assert isinstance(answer, Drawn)
+        return answer.followed
+
     def junction_foes(self, reach_m: float) -> JunctionFoes:
         """SUMO's list of conflicts within `reach_m` ahead of every vehicle of the newest frame.
 
@@ -263,6 +276,10 @@ class SumoSimulator:
             raise SimulatorError("SUMO is not running: call reset(seed) first")
         with self._closed_if_interrupted():
             answer = self._worker.hear()
+        if isinstance(answer, WindowClosed):
+            time_s = self._time_s
+            self.close()
+            raise WindowClosedError(f"SUMO's window was closed at {time_s:.1f} s")
         if isinstance(answer, Failed):
             reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
             raise self._stopped(reason)

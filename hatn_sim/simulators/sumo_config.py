@@ -65,7 +65,9 @@ def check_sumocfg(path: Path) -> None:
                 )
 
 
-def start_options(scenario: Scenario) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def start_options(
+    scenario: Scenario, has_window: bool = False
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """SUMO's command line for a scene, the seed excepted, and notices for the user.
 
     The scene's own begin and end, outputs and models stay; the tick becomes 0.1 s, randomness
@@ -81,7 +83,7 @@ def start_options(scenario: Scenario) -> tuple[tuple[str, ...], tuple[str, ...]]
         "no-step-log": "true",
         "duration-log.disable": "true",
     }
-    if "gui-settings-file" in configured:
+    if "gui-settings-file" in configured and not has_window:
         options["gui-settings-file"] = ""
     if "remote-port" in configured:
         options["remote-port"] = "0"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from hatn_sim.datatypes import BoolArray, Change, Command, FloatArray, IntArray, Route
@@ -125,6 +125,51 @@ class Spawn:
 @dataclass(frozen=True)
 class Spawned:
     """It will be on the road as soon as there is room."""
+
+
+Paint = tuple[int, int, int, int]
+"""Red, green, blue, opacity: 0 to 255."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ribbon:
+    """A line of some width, drawn over the traffic."""
+
+    xy_m: FloatArray  # [P, 2] P >= 2
+    width_m: float
+    paint: Paint
+    layer: int
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A point of interest."""
+
+    xy_m: FloatArray  # [2]
+    width_m: float
+    paint: Paint
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Asks for all that is to be drawn in SUMO's window, in place of what was drawn before."""
+
+    ribbons: Mapping[str, Ribbon]
+    marks: Mapping[str, Mark]
+    vehicles: Mapping[str, Paint]  # all others keep their own colour
+    followed: str | None = None  # the vehicle for the window to go with, once it is there
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """It is drawn. `followed` is the vehicle that the window goes with; "": none."""
+
+    followed: str
+
+
+@dataclass(frozen=True)
+class WindowClosed:
+    """The user has closed SUMO's window, and the simulation with it."""
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,12 @@ from hatn_sim.simulators.sumo_messages import (
     AwaitBranch,
     BranchEnded,
     BranchesStarted,
+    Drawn,
     Failed,
     JunctionFoes,
     LaneFoes,
     Leave,
+    Picture,
     RawFrame,
     Refused,
     Spawn,
@@ -49,6 +51,7 @@ from hatn_sim.simulators.sumo_messages import (
     StartBranches,
     Started,
     Surroundings,
+    WindowClosed,
 )
 from hatn_sim.simulators.sumo_reading import Read, Row, frames_of
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
@@ -58,9 +61,8 @@ from hatn_sim.simulators.sumo_rows import (
     OWN_SPEED_MODE,
     ROUNDING_MPS,
 )
+from hatn_sim.simulators.sumo_window import START, SUMO_DEFAULT_COLOUR, Canvas
 
-SUMO_DEFAULT_COLOUR = (255, 255, 0, 255)
-"""Of a vehicle without a colour of its own; its type's counts then."""
 PEDESTRIAN_PREFIX = "person:"
 """Persons and vehicles may bear the same name; in a scene no two road users may."""
 
@@ -69,7 +71,9 @@ class Simulation:
     """The one simulation of this process, from the start on."""
 
     def __init__(self, options: Sequence[str]) -> None:
-        libsumo.start(["sumo", *options])
+        program = "sumo-gui" if START in options else "sumo"
+        libsumo.start([program, *options])
+        self._canvas = Canvas(libsumo) if START in options else None
         self.lane_table = read_lane_table(libsumo)
         self._tracker = RouteTracker(
             LaneGraph(self.lane_table), _edges_and_lanes, _gap_to_lane_end_m
@@ -109,7 +113,16 @@ class Simulation:
 
     def answer(
         self, message: object
-    ) -> RawFrame | Advanced | JunctionFoes | LaneFoes | BranchesStarted | BranchEnded | Spawned:
+    ) -> (
+        RawFrame
+        | Advanced
+        | JunctionFoes
+        | LaneFoes
+        | BranchesStarted
+        | BranchEnded
+        | Spawned
+        | Drawn
+    ):
         """What is asked without time passing; else the frame after a step of commands."""
         self._branches.reap()
         match message:
@@ -121,6 +134,8 @@ class Simulation:
                 return self.spawn(name, like)
             case Advance(commands, kept):
                 return self.advance(commands, kept)
+            case Picture() if self._canvas is not None:
+                return self._canvas.draw(message)
             case AskFoes(reach_m):
                 return self.junction_foes(reach_m)
             case AskLaneFoes():
@@ -226,6 +241,8 @@ class Simulation:
     @property
     def cannot_branch(self) -> str | None:
         """Why this simulation cannot be forked; None where it can."""
+        if self._canvas is not None:
+            return "SUMO's window runs threads, which a fork loses; leave out --gui"
         return self._branches.cannot
 
     def close(self) -> None:
@@ -372,7 +389,7 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
     options = pickle.load(requests)
     try:
         simulation = start(options)
-    except libsumo.TraCIException as error:
+    except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
         reply(Refused(str(error)))
         return
     try:
@@ -385,11 +402,20 @@ def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any
             try:
                 answer = simulation.answer(message)
             except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
-                reply(Failed(str(error)))
+                reply(Failed(str(error)) if _has_net() else WindowClosed())
                 return
             reply(answer)
     finally:
         simulation.close()
+
+
+def _has_net() -> bool:
+    """Whether there is a simulation still: with its window, the user closes that, too."""
+    try:
+        libsumo.simulation.getTime()
+    except (libsumo.TraCIException, libsumo.FatalTraCIError):
+        return False
+    return True
 
 
 def main() -> None:
