@@ -36,8 +36,14 @@ def test_a_child_reads_on_by_itself_and_opens_and_writes_nothing(tmp_path: Path)
     assert not never.exists()
 
 
-def test_children_are_bounded_and_what_fails_is_none() -> None:
-    forks = Forks(2)
+def test_children_are_bounded_and_what_fails_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    forks, pids, fork = Forks(2), list[int](), os.fork
+
+    def noted() -> int:
+        pids.append(fork())
+        return pids[-1]
+
+    monkeypatch.setattr(os, "fork", noted)
 
     def fail() -> bytes:
         raise ValueError
@@ -48,6 +54,7 @@ def test_children_are_bounded_and_what_fails_is_none() -> None:
     ] * 2
     slow = [forks.start(lambda: time.sleep(60) or b"") for _ in range(2)]
     forks.end()
-    assert len(slow) == 2
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
+    assert len(slow) == 2 and len(pids) == 6
+    for pid in pids:
+        with pytest.raises(ChildProcessError):
+            os.waitpid(pid, os.WNOHANG)

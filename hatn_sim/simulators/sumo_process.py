@@ -139,7 +139,7 @@ class Workers:
 
         Raises WorkerDiedError where there can be none.
         """
-        if not FORKS:
+        if not FORKS or not hasattr(os, "fork"):
             return _spawned((self._module,), files)
         if self._nursery is None or not self._nursery.is_of_use:
             self.close()
