@@ -19,10 +19,13 @@ from hatn_sim.assist.profile import (
     HARD_JERK_MPS3,
     KNOT_AT_S,
     KNOTS,
+    LEADER_ASKS,
+    LINE_ASKS,
     PROFILE_FRAMES,
     Approach,
     Profiles,
     drive,
+    hardest_asked,
 )
 
 POINTS = 21
@@ -177,3 +180,58 @@ def test_whoever_follows_new_profiles_every_tick_stops_short(speed: float, room:
         speed = max(speed + 0.1 * acceleration, 0.0)
         way += 0.1 * speed
     assert speed < 0.01 and 0.5 < room - way < 1.1
+
+
+def everybody(speed: float, areas: list[float], line: float, gap: float, its: float) -> Approach:
+    """One vehicle with areas that open after 20 s, a stop line and a leader at constant speed."""
+    return approach(
+        speed,
+        area_m=np.array([areas]),
+        open_s=np.full((1, len(areas)), 20.0),
+        stop_m=np.array([line]),
+        leader_m=gap + its * KNOT_AT_S[None],
+        leader_mps=np.full((1, KNOTS + 1), its),
+    )
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    [
+        (everybody(10.0, [60.0, 30.0], 60.0, 12.0, 0.0), LEADER_ASKS),
+        (everybody(10.0, [60.0, 30.0], 60.0, 12.0, 10.0), 1),
+        (everybody(10.0, [15.0, 30.0], 60.0, 12.0, 10.0), 0),
+        (everybody(10.0, [60.0, 30.0], 12.0, 30.0, 0.0), LINE_ASKS),
+    ],
+)
+def test_what_asks_for_the_hardest_braking(what: Approach, expected: int) -> None:
+    (knot,), (asks,) = hardest_asked(what, drive(what), 1.5)
+    assert asks == expected and 1 <= knot <= 5  # knots of the first 1.5 s
+
+
+@given(
+    speed=st.floats(5.0, 20.0),
+    areas=st.lists(st.floats(5.0, 60.0), min_size=1, max_size=3, unique=True),
+    line=st.floats(5.0, 60.0),
+    gap=st.floats(5.0, 60.0),
+    its=st.floats(0.0, 10.0),
+)
+def test_what_asks_for_most_is_what_brakes_hardest_alone(
+    speed: float, areas: list[float], line: float, gap: float, its: float
+) -> None:
+    whole = everybody(speed, areas, line, gap, its)
+    # Each of them alone, from the same state: what is reached at the first knot.
+    free = np.full((1, len(areas)), np.inf)
+    nobody = np.full((1, KNOTS + 1), np.inf)
+    alone: dict[int, float] = {}
+    for asks in (*range(len(areas)), LINE_ASKS, LEADER_ASKS):
+        of = replace(
+            whole,
+            area_m=np.where(np.arange(len(areas)) == asks, whole.area_m, free),
+            stop_m=whole.stop_m if asks == LINE_ASKS else np.array([np.inf]),
+            leader_m=whole.leader_m if asks == LEADER_ASKS else nobody,
+        )
+        alone[asks] = float(drive(of).acceleration_mps2[0, 1])
+    (knot,), (asks,) = hardest_asked(whole, drive(whole), float(KNOT_AT_S[1]))
+    assert knot == 1
+    assert alone[int(asks)] == min(alone.values())
+    assert drive(whole).acceleration_mps2[0, 1] == min(alone.values())

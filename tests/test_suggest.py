@@ -13,7 +13,7 @@ from hatn_sim.assist.outlook import in_the_way, look_ahead, plausible_travel_m
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, suggest
 from hatn_sim.assist.told import Told
 from hatn_sim.assist.words import names
-from hatn_sim.datatypes import Prediction, Scene, Suggestion
+from hatn_sim.datatypes import Kind, Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import begin, perceive
 from hatn_sim.predictors.constant_velocity import extrapolate
@@ -172,6 +172,69 @@ def test_a_yield_told_before_stands_though_it_takes_hard_braking() -> None:
     assert told.probability == pytest.approx(0.9) and told.margin == pytest.approx(0.8)
     at_m = 0.1 * np.cumsum(told.profile_mps)
     assert at_m[: int(1.7 / 0.1)].max() < 10.75
+
+
+BEHIND = {"ego": (0.0, -40.0, NORTH, 10.0), "other": (-40.0, 0.0, 0.0, 8.0)}
+"""The ego can yield in comfort: 36.5 m to the area, which takes 1.4 m/s^2 to stop before."""
+
+
+def said_behind(
+    told: str, vehicles: dict[str, tuple[float, float, float, float]], lorry: tuple[float, float]
+) -> Suggestion:
+    """What the ego goes on to be told behind a lorry at a y with a speed."""
+    y_m, speed_mps = lorry
+    vehicles = vehicles | {"lorry": (0.0, y_m, NORTH, speed_mps)}
+    scene = scene_of(0.0, vehicles)
+    scene.kind[2] = Kind.LORRY
+    chance = [0.95, 0.05] if told == "yield" else [0.05, 0.95]
+    scene, prediction = moment_of(ROAD, scene, {"ego": chance})
+    slot_id = "ego" if told == "yield" else "other"
+    state = SuggestionState({"ego": Told(slot_id, "other", told, True)})
+    _, (found,) = suggest(state, ROAD, scene, prediction, frozenset({"ego"}))
+    assert found.action == told
+    return found
+
+
+@pytest.mark.parametrize(
+    ("lorry", "expected"),
+    [
+        # 11 m from bumper to bumper: 10^2 / (2 * (11 - 2)) = 5.6 m/s^2.
+        ((-24.0, 0.0), "Brake hard: the lorry ahead stands; then yield to the car from the left"),
+        # 8 m/s slower, 7 m: 8^2 / (2 * (7 - 2)) = 6.4 m/s^2.
+        ((-28.0, 2.0), "Brake hard for the lorry ahead; then yield to the car from the left"),
+    ],
+)
+def test_hard_braking_names_the_leader_who_asks_for_it(
+    lorry: tuple[float, float], expected: str
+) -> None:
+    found = said_behind("yield", BEHIND, lorry)
+    assert found.text == expected and found.slot_id == "other"
+    # Without the lorry there is nothing to brake hard for; the car comes in 4.6 s.
+    state = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    _, alone = advise(BEHIND, [0.95, 0.05], state)
+    assert "rake" not in alone.text
+
+
+def test_a_pass_names_the_leader_too() -> None:
+    found = said_behind("pass", OPEN, (-16.0, 3.0))
+    assert found.text == "Brake hard for the lorry ahead; then pass before the car from the left"
+
+
+def test_a_leader_is_ahead_whatever_way_the_lane_bends() -> None:
+    # On the quarter circle of the left turn, 12 m ahead of the ego and 45 degrees to its left.
+    scene = scene_of(0.0, {"ego": (-8.0, 0.0, 0.0, 8.0), "lead": (0.0, 8.0, NORTH, 0.0)})
+    ego, lead = np.array([0]), np.array([1])
+    assert names(scene, ego, lead) == ["the car from the left"]
+    assert names(scene, ego, lead, np.array([True])) == ["the car ahead"]
+
+
+@pytest.mark.parametrize(("ego_mps", "begins"), [(1.8, "Stop: "), (2.1, "Brake hard: ")])
+def test_hard_braking_from_a_walk_is_a_stop(ego_mps: float, begins: str) -> None:
+    # 0.5 m before the area and what is kept of it: a stop takes 1.8^2 / (2 * 0.5) = 3.2 m/s^2.
+    vehicles = {"ego": (0.0, -5.0, NORTH, ego_mps), "other": (-12.0, 0.0, 0.0, 8.0)}
+    state = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    _, found = advise(vehicles, [0.9, 0.1], state)
+    assert found.text == f"{begins}yield to the car from the left"
 
 
 def test_a_pass_stands_while_it_can_be_given_up_in_comfort() -> None:

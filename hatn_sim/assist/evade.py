@@ -158,5 +158,5 @@ def _all_gone_s(moment: Moment, ego: int, other: int) -> float:
         return 0.0
     outlook = look_ahead(moment.road, moment.scene, moment.prediction, moment.pairs)
     stopped = np.zeros(1, dtype=np.bool_)
-    _, open_s = approaches(outlook, row, np.zeros(1, dtype=np.int64), node, stopped)
+    _, open_s, _ = approaches(outlook, row, np.zeros(1, dtype=np.int64), node, stopped)
     return float(open_s[0])

@@ -16,6 +16,7 @@ from hatn_sim.assist.profile import (
     COMFORT_BRAKING_MPS2,
     KNOT_AT_S,
     SHORT_M,
+    Approach,
     Profiles,
     drive,
 )
@@ -39,6 +40,8 @@ class Options:
     """
 
     driven: Profiles  # [R + P] all yields, then the passes
+    approach: Approach  # [R + P] what these keep to
+    leader: IntArray  # [R + P, G] who is ahead at their knots, -1: nobody
     of_pass: IntArray  # [R] the row in `driven`, of the yield where no pass is driven
     open_s: FloatArray  # [R] when the way is open on a yield
     let_go: BoolArray  # [R, M] who goes first then
@@ -64,7 +67,9 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     # Whoever it is passed before, the ego drives as fast as it may.
     which = np.concatenate((np.arange(count), passing))
     slot = np.concatenate((np.zeros(count, dtype=np.int64), likely.first[passing]))
-    approach, open_s = approaches(outlook, row[which], slot, likely.named[which], stopped[which])
+    approach, open_s, ahead_of = approaches(
+        outlook, row[which], slot, likely.named[which], stopped[which]
+    )
     driven = drive(approach)
     yields, passes = driven.of(np.arange(count)), driven.of(np.arange(count, len(which)))
     area_m, opens = (of[:count, : group.shape[1]] for of in (approach.area_m, approach.open_s))
@@ -87,6 +92,8 @@ def weigh_options(outlook: Outlook, row: IntArray, likely: Likely, stopped: Bool
     of_pass[passing] = np.arange(count, len(which))
     return Options(
         driven=driven,
+        approach=approach,
+        leader=ahead_of,
         of_pass=of_pass,
         open_s=open_s[:count],
         let_go=ahead,

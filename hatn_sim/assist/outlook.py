@@ -70,6 +70,7 @@ class Outlook:
     soonest_s: FloatArray  # [E, M] the earliest that the other may plausibly enter
     taken_m: FloatArray  # [E] from the ego's front bumper to an area somebody is in; inf: none
     taken_s: FloatArray  # [E] when it is left
+    taken_by: IntArray  # [E] by whom; -1: nobody
 
 
 def look_ahead(
@@ -103,7 +104,9 @@ def look_ahead(
         return whole
 
     gates = gates_ahead(road, scene, lines)
-    taken_m, taken_s = _taken(pairs or at_conflicts(road, scene, lines), graphs, travelled)
+    taken_m, taken_s, taken_by = _taken(
+        pairs or at_conflicts(road, scene, lines), graphs, travelled
+    )
     return Outlook(
         scene=scene,
         graphs=graphs,
@@ -119,18 +122,19 @@ def look_ahead(
         soonest_s=by_node(soonest),
         taken_m=taken_m,
         taken_s=taken_s,
+        taken_by=taken_by,
     )
 
 
 def _taken(
     pairs: Pairs, graphs: SemanticGraphs, travelled_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """The nearest area [E] ahead of each ego that somebody who crosses is in, and until when.
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """The nearest area [E] ahead of each ego that somebody who crosses is in, until when, and who.
 
     Graphs let go of a conflict 2 m behind the other's centre: its rear may be in the area yet.
     """
     count = len(graphs.ids)
-    nearest, until = np.full(count, np.inf), np.zeros(count)
+    nearest, until, who = np.full(count, np.inf), np.zeros(count), np.full(count, -1)
     inside = (pairs.type == CROSS)[:, None] & (pairs.room_m[:, ::-1] <= 0.0)
     inside &= pairs.room_m > -0.5 * pairs.length_m
     q, mine = np.nonzero(inside)
@@ -140,7 +144,8 @@ def _taken(
         order = np.lexsort((leave_s, -room_m))  # the nearest is written last
         ego = pairs.index[q, mine][order]
         nearest[ego], until[ego] = room_m[order], leave_s[order] + LEAVE_MARGIN_S
-    return nearest[graphs.ego], until[graphs.ego]
+        who[ego] = pairs.index[q, its][order]
+    return nearest[graphs.ego], until[graphs.ego], who[graphs.ego]
 
 
 def plausible_travel_m(
@@ -183,11 +188,12 @@ def approaches(
     named: IntArray,
     has_stopped: BoolArray,
     start_s: float = 0.0,
-) -> tuple[Approach, FloatArray]:
+) -> tuple[Approach, FloatArray, IntArray]:
     """What egos of graphs [R] have to keep to in order to take slots [R].
 
     On a yield, the vehicles of nodes `named` [R] go first, and whoever would be met then.
-    Also when the area opens for them [R]: the last of those let go has left; 0 on a pass.
+    Also when the area opens for them [R]: the last of those let go has left; 0 on a pass. And who
+    is ahead at the knots [R, G], as vehicles; -1: nobody.
     `has_stopped` [R] is of the stop line ahead: they have done so, and may go on. Until `start_s`
     they drive as predicted.
     """
@@ -204,7 +210,7 @@ def approaches(
     merging = graphs.conflict_type[row] == MERGE
     closed = first & ~(merging & (outlook.room_m[row] <= 0.0))
     opens = outlook.leave_s[row] + LEAVE_MARGIN_S
-    leader_m, leader_mps = _leaders(outlook, row, first, start_s + KNOT_AT_S)
+    leader_m, leader_mps, leader = _leaders(outlook, row, first, start_s + KNOT_AT_S)
     to_line = np.where(has_stopped, np.inf, outlook.stop_m[ego])
     speed, start_m = scene.speed_mps[ego], np.zeros(len(row))
     acceleration = graphs.context[row, 0, _ACCELERATION]
@@ -229,6 +235,7 @@ def approaches(
             open_s=np.column_stack((np.where(closed, opens, 0.0), outlook.taken_s[row])),
         ),
         area_s,
+        leader,
     )
 
 
@@ -277,8 +284,9 @@ def _let_go(
 
 def _leaders(
     outlook: Outlook, row: IntArray, first: BoolArray, time_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Rear bumper [R, G], from the ego's front bumper, and speed [R, G] of the nearest ahead.
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Rear bumper [R, G], from the ego's front bumper, speed [R, G] of the nearest ahead, and who
+    that is [R, G].
 
     That is its leader, or whoever of those `first` [R, M] merges before it: from now on where the
     ego has begun to merge behind them, else from when they enter the area. Until they are past its
@@ -291,9 +299,10 @@ def _leaders(
     there = (leader >= 0)[:, None]
     ahead = np.where(there, graphs.leader_gap_m[row][:, None] + slow_m[leader], np.inf)
     ahead_mps = np.where(there, slow_mps[leader], 0.0)
+    who = np.repeat(leader[:, None], len(time_s), axis=1)
     r, m = np.nonzero(first & (graphs.conflict_type[row] == MERGE))
     if not len(r):
-        return ahead, ahead_mps
+        return ahead, ahead_mps, who
     travel, speed = travel_at(outlook.travelled_m, time_s, SLOWING_MPS2)
     other = graphs.rear[row[r], m]
     half_m = 0.5 * (scene.size_m[ego[r], 0] + scene.size_m[other, 0])
@@ -314,7 +323,8 @@ def _leaders(
     nearer = nearest_m < ahead[rows]
     ahead[rows] = np.where(nearer, nearest_m, ahead[rows])
     ahead_mps[rows] = np.where(nearer, nearest_mps, ahead_mps[rows])
-    return ahead, ahead_mps
+    who[rows] = np.where(nearer, other[nearest], who[rows])
+    return ahead, ahead_mps, who
 
 
 def travel_at(

@@ -7,7 +7,7 @@ F ticks of the profile.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -81,6 +81,13 @@ class Approach:
     stop_m: FloatArray  # [R] to a line to stop at; inf: none
     area_m: FloatArray  # [R, K] to areas that others have to leave first; inf: none
     open_s: FloatArray  # [R, K] when these may be entered
+
+    def of(self, rows: IntArray) -> Approach:
+        """Some of them, in the order asked for."""
+        arrays = {
+            name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)
+        }
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +193,39 @@ def drive(approach: Approach) -> Profiles:
     return Profiles(approach.start_s, speeds.T, accelerations.T, travels.T)
 
 
+LINE_ASKS: Final = -2
+LEADER_ASKS: Final = -1
+
+
+def hardest_asked(
+    approach: Approach, profiles: Profiles, until_s: float
+) -> tuple[IntArray, IntArray]:
+    """At which knot [R] profiles brake hardest, within `until_s`, and what asks for it [R].
+
+    That is the column of an area of the approach, `LINE_ASKS` or `LEADER_ASKS`. `profiles` are what
+    `drive` makes of it. The road, which asks for `SLOWING_MPS2` at most, is left out.
+    """
+    last = int(np.searchsorted(KNOT_AT_S, until_s, side="right"))
+    knots = 1 + profiles.acceleration_mps2[:, 1:last].argmin(axis=1)
+    places = _places(approach)
+    areas = approach.area_m.shape[1]
+    _, column = np.nonzero(np.isfinite(approach.area_m))
+    others = len(places.profile) - len(column) - len(knots)
+    column = np.concatenate((column, np.full(others, areas), np.full(len(knots), areas + 1)))
+    asked_mps2 = np.full((len(knots), areas + 2), np.inf)
+    for knot in np.unique(knots).tolist():
+        before = knot - 1
+        now = (
+            profiles.speed_mps[:, before],
+            profiles.acceleration_mps2[:, before],
+            profiles.travelled_m[:, before],
+        )
+        wanted, here = _asked_by_each(places, knot, *now), (knots == knot)[places.profile]
+        asked_mps2[places.profile[here], column[here]] = wanted[here]
+    most = asked_mps2.argmin(axis=1)
+    return knots, np.where(most < areas, most, most - areas - 2)
+
+
 def _by_road(
     approach: Approach, speed: FloatArray, acceleration: FloatArray, travelled: FloatArray
 ) -> FloatArray:
@@ -265,7 +305,22 @@ def _keep_out(
     acceleration: FloatArray,
     travelled: FloatArray,
 ) -> FloatArray:
-    """The largest acceleration [R] that keeps vehicles out of all places.
+    """The largest acceleration [R] that keeps vehicles out of all places."""
+    wanted, own = _asked_by_each(places, knot, speed, acceleration, travelled), places.profile
+    others = len(own) - len(speed)
+    least = wanted[others:]
+    np.minimum.at(least, own[:others], wanted[:others])
+    return least
+
+
+def _asked_by_each(
+    places: _Places,
+    knot: int,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    travelled: FloatArray,
+) -> FloatArray:
+    """The largest acceleration [L] that keeps vehicles out of each place.
 
     They stay able to stop so far before the end of their room, which may move on:
     v t + v^2 / 2b = d + u^2 / 2b (Gipps 1981, eq. 4, with equal braking b). They brake harder than
@@ -280,11 +335,9 @@ def _keep_out(
     wanted = _towards(safe, _then_mps(speed, acceleration)[own])
     wanted = np.maximum(wanted, -np.maximum(braking, 1.2 * needed))
     wanted = np.where(needed > 0.8 * braking, np.minimum(wanted, -needed), wanted)
-    areas, others = len(places.arrive_m), len(own) - len(speed)
+    areas = len(places.arrive_m)
     wanted[:areas] = _in_time(places, knot, v[:areas], gone[:areas], wanted[:areas])
-    least = wanted[others:]
-    np.minimum.at(least, own[:others], wanted[:others])
-    return least
+    return wanted
 
 
 def _in_time(

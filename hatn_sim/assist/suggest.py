@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.braked_for import braked_for_first
 from hatn_sim.assist.choice import STANDING_MPS, Chosen, Why, choose
 from hatn_sim.assist.likely import Likely, likely_slots
 from hatn_sim.assist.options import Options, weigh_options
@@ -131,6 +132,7 @@ def _suggestions(
     target = np.where(waits, np.maximum(arrival, options.open_s), arrival)
     mean_mps, speeds = profiles.mean_mps(arrival), profiles.tick_speed_mps()
     ego, other = graphs.ego[row], chosen.other
+    brakes = braking(scene.speed_mps[ego], speeds)
     columns = zip(
         ego.tolist(),
         other.tolist(),
@@ -142,7 +144,8 @@ def _suggestions(
         mean_mps.tolist(),
         chosen.feasible.tolist(),
         options.let_go.sum(axis=1).tolist(),
-        braking(scene.speed_mps[ego], speeds, chosen.feasible),
+        brakes,
+        braked_for_first(outlook, row, options, chosen, brakes),
         [Why(one).name.lower() for one in chosen.why.tolist()],
         np.round(speeds, 3).tolist(),
         strict=True,
@@ -164,7 +167,8 @@ def _suggestions(
                 more=let_go - 1,
                 target_s=target_s,
                 feasible=feasible,
-                brakes=brakes,
+                brakes=hard,
+                first=first,
                 reason=reason,
             ),
             profile_mps=() if action == "abstain" else tuple(profile_mps),
@@ -181,7 +185,8 @@ def _suggestions(
             advised_mps,
             feasible,
             let_go,
-            brakes,
+            hard,
+            first,
             reason,
             profile_mps,
         ) in columns

@@ -11,15 +11,50 @@ from hatn_sim.assist.profile import COMFORT_BRAKING_MPS2
 from hatn_sim.datatypes import DT_S, BoolArray, FloatArray, IntArray, Kind, Scene
 from hatn_sim.geometry import wrap_angle
 
+CALM: Final = ""
+HARD_NOW: Final = "brake hard now"
+HARD_LATER: Final = "brake hard later"
+STOP_NOW: Final = "stop now"
+STOP_LATER: Final = "stop later"
+HARD_MPS2: Final = 1.15 * COMFORT_BRAKING_MPS2
+"""3.45 m/s2, the one limit of hard braking in words: what asks for no more may be told as feasible
+(`choice.FEASIBLE_BAND`)."""
+SOON_FRAMES: Final = 15
+"""Braking within 1.5 s is to be begun now: a driver takes a second to react."""
+LOW_MPS: Final = 2.0
+"""Whoever is never faster than this stops; hard braking is over within half a second there."""
 
-def names(scene: Scene, ego: IntArray, other: IntArray) -> list[str]:
+
+def braking(speed_mps: FloatArray, profile_mps: FloatArray) -> list[str]:
+    """How vehicles with speeds [R] brake on profiles [R, F]: hard within 1.5 s, later or not.
+
+    Hard is a tick that loses speed faster than `HARD_MPS2`. To whoever is no faster than `LOW_MPS`
+    until then, it is a stop.
+    """
+    whole = np.column_stack((speed_mps, profile_mps))
+    hard = -np.diff(whole, axis=1) / DT_S > HARD_MPS2
+    soon = slice(None, SOON_FRAMES)
+    now, later = hard[:, soon].any(axis=1), hard.any(axis=1)
+    slow_now = whole[:, : SOON_FRAMES + 1].max(axis=1) <= LOW_MPS
+    slow = whole.max(axis=1) <= LOW_MPS
+    said_now = np.where(slow_now, STOP_NOW, HARD_NOW)
+    said_later = np.where(later, np.where(slow, STOP_LATER, HARD_LATER), CALM)
+    return [str(one) for one in np.where(now, said_now, said_later).tolist()]
+
+
+def names(
+    scene: Scene, ego: IntArray, other: IntArray, ahead: BoolArray | None = None
+) -> list[str]:
     """How drivers of vehicles `ego` [R] would name vehicles `other` [R].
 
-    By its colour only where another of its kind in view has another one.
+    By its colour only where another of its kind in view has another one. Those in the ego's own
+    lane are `ahead` [R] of it, whatever way that bends.
     """
     x, y = (scene.xy_m[other] - scene.xy_m[ego]).T
     bearing = wrap_angle(np.arctan2(y, x) - scene.yaw_rad[ego])
     eighth = np.floor(bearing / (np.pi / 8)).astype(np.int64)
+    if ahead is not None:
+        eighth[ahead] = 0
     colours = [_colour(*colour) for colour in scene.colour.tolist()]
     of_kind: dict[int, set[str]] = {}
     for kind, colour in zip(scene.kind.tolist(), colours, strict=True):
@@ -41,56 +76,52 @@ def words(
     more: int = 0,
     target_s: float | None = None,
     feasible: bool = True,
-    brakes: str = "",
+    brakes: str = CALM,
+    first: str = "",
     reason: str = "",
 ) -> str:
     """What to tell a driver about another vehicle, named as `names` does.
 
     `more` others are let go with it on a yield, and the ego is there in `target_s` then. `brakes`
-    is what `braking` makes of the profile, `reason` why this is told.
+    is what `braking` makes of the profile, `first` what hard braking is for where that is not who
+    is let go (`because`), `reason` why this is told.
     """
     if action == "abstain":
         return f"Watch {who}: {_SILENT.get(reason, 'no advice')}"
-    hard = "Brake hard: " if brakes == HARD_NOW else ""
+    then = f"pass before {who}"
+    if action == "yield":
+        then = f"yield to {who}" + (f" and {more} more" if more else "")
+    also = "; to go first is not safe" if action == "yield" and reason == "likely_unsafe" else ""
+    if brakes in _NOW:
+        apart = "; then " if first or action == "pass" else ": "
+        return f"{_NOW[brakes]}{first}{apart}{then}{also}"
+    then = then[0].upper() + then[1:]
+    if action == "pass" and not feasible:
+        then += ", if you can: the gap is tight"
+    if brakes in _LATER:
+        return f"{then}; {_LATER[brakes]}{also}"
     if action == "pass":
-        text = f"Pass before {who}" + ("" if feasible else ", if you can: the gap is tight")
-        return f"Brake hard for the one ahead; then pass before {who}" if hard else text
-    also = "; to go first is not safe" if reason == "likely_unsafe" else ""
-    if more:
-        who += f" and {more} more"
-    if hard:
-        return f"Brake hard: yield to {who}{also}"
-    if not feasible or brakes == HARD_LATER:
-        return f"Yield to {who}; be ready to brake hard{also}"
+        return then
+    if not feasible:
+        return f"{then}; brake at once{also}"
     if target_s is None:
-        return f"Yield to {who}; wait until the way is clear{also}"
+        return f"{then}; wait until the way is clear{also}"
     if target_s <= 0.0:
-        return f"Yield to {who}{also}"
-    return f"Yield to {who}; go after {'them' if more else 'it'} in {target_s:.1f} s{also}"
+        return f"{then}{also}"
+    return f"{then}; go after {'them' if more else 'it'} in {target_s:.1f} s{also}"
 
 
-HARD_NOW: Final = "now"
-HARD_LATER: Final = "later"
-SOON_FRAMES: Final = 15
-"""Braking within 1.5 s is to be begun now: a driver takes a second to react."""
-BAND: Final = 0.15
-"""What is said to be within comfort may be beyond it by this share, what is not, within it."""
+def because(who: str, stands: bool) -> str:
+    """What hard braking is for, where that is not who is let go: a vehicle, or a line."""
+    return f": {who} stands" if stands else f" for {who}"
 
 
-def braking(speed_mps: FloatArray, profile_mps: FloatArray, feasible: BoolArray) -> list[str]:
-    """Whether vehicles with speeds [R] brake harder than comfort on profiles [R, F]: soon, later
-    or not ("")."""
-    whole = np.column_stack((speed_mps, profile_mps))
-    lost_mps2 = -np.diff(whole, axis=1) / DT_S
-    limit = COMFORT_BRAKING_MPS2 * np.where(feasible, 1.0 + BAND, 1.0 - BAND)
-    now = lost_mps2[:, :SOON_FRAMES].max(axis=1, initial=0.0) > limit
-    later = lost_mps2.max(axis=1, initial=0.0) > COMFORT_BRAKING_MPS2 * (1.0 + BAND)
-    said = np.where(now, HARD_NOW, np.where(later, HARD_LATER, ""))
-    return [str(one) for one in said.tolist()]
-
-
+LINE: Final = "the line ahead"
+AT_ONCE: Final = (HARD_NOW, STOP_NOW)
+_NOW: Final = {HARD_NOW: "Brake hard", STOP_NOW: "Stop"}
+_LATER: Final = {HARD_LATER: "be ready to brake hard", STOP_LATER: "be ready to stop"}
 _SILENT: Final = {
-    "far": "it is far yet",
+    "far": "it is still far",
     "unsure": "hard to tell who goes first",
     "settling": "no advice yet",
     "unsafe_pass": "to go first may not be safe",
