@@ -364,7 +364,7 @@ def test_json_of_run_and_score_is_the_list_of_scores_and_the_rate_of_the_run(
 def test_a_run_ends_with_its_table_its_rate_and_its_place(
     street: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ("--warm-up", "20", "--no-picture", "--duration", "4", "--egos", "a.0,nobody")
+    words = ("--warm-up", "20", "--no-picture", "--duration", "4", "--egos", "a.0,a.999")
     assert code_of("run", street / "street.sumocfg", *CV, *words) == 0
     printed = capsys.readouterr()
     assert "street: errors in metres, all samples" in printed.out
@@ -372,7 +372,7 @@ def test_a_run_ends_with_its_table_its_rate_and_its_place(
     assert "times real time" in printed.out
     assert printed.out.splitlines()[-1] == "log and scores in runs/street-1"
     never = [line for line in printed.err.splitlines() if "never" in line]
-    assert never == ["hatn-sim: never seen in this run: --egos nobody"]
+    assert never == ["hatn-sim: never seen in this run: --egos a.999"]
     # The next run takes the next free folder, and score reads both.
     assert code_of("run", street, *CV, *SHORT, "--warm-up", "20") == 0
     assert capsys.readouterr().out.splitlines()[-1] == "log and scores in runs/street-2"

@@ -71,10 +71,19 @@ def test_the_ego_of_highway_env_is_driven_from_the_beginning_or_from_a_time_on()
 
 def test_nobody_of_that_name_or_nobody_at_all(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("tjunction", "--duration", 1, "--warm-up", 0, "--agent", "constant_speed")
-    assert run(*words, "--drive", "nobody", "--out", "out") == 2  # not the run that was asked for
-    printed = capsys.readouterr()
-    assert "never seen in this run: --drive nobody" in printed.err
-    json.loads(printed.out)
+    # Whom no route file knows is refused at once; which of a flow comes is seen in the run.
+    for option in ("--drive", "--egos"):
+        agent = words if option == "--drive" else words[:-2]
+        assert run(*agent, option, "nobody", "--out", "out") == 2
+        said = f"{option}: no vehicle called 'nobody' is in the route files of tjunction; "
+        assert said in capsys.readouterr().err and not Path("out").exists()
+        name = "east_west.999"
+        assert run(*agent, option, name, "--out", option.strip("-")) == 2  # not what was asked for
+        printed = capsys.readouterr()
+        assert f"never seen in this run: {option} {name}" in printed.err
+        json.loads(printed.out)
+        assert run(*words[:-2], option, ",") == 2
+        assert "expected" in capsys.readouterr().err
     assert run(*words) == 2
     assert "--agent constant_speed drives nobody; add --drive" in capsys.readouterr().err
     for drive, said in (("a@nan", "ID or ID@SECONDS, found 'nan'"), ("a@1,a", "named twice")):

@@ -22,7 +22,8 @@ from hatn_sim.report.replay_table import replay_scores, replay_table
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_replay.figures import Quantiles
 from hatn_sim.simulators.sumo_replay.match import LaneMatcher
-from hatn_sim.simulators.sumo_replay.simulator import SumoReplay, open_replay, parse_take_over
+from hatn_sim.simulators.sumo_replay.simulator import SumoReplay, open_replay
+from hatn_sim.simulators.sumo_replay.take_over import parse_take_over
 from hatn_sim.simulators.touching import boxes_touch, touching_pairs, touching_rows_of
 
 WARM_UP_FRAMES = 300

@@ -65,8 +65,11 @@ def milliseconds(text: str) -> float:
 
 
 def names(text: str) -> tuple[str, ...]:
-    """Names parted by commas."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    """Names parted by commas, one or more."""
+    found = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not found:
+        raise argparse.ArgumentTypeError(f"expected names parted by commas, found {text!r}")
+    return found
 
 
 def seeds(text: str) -> tuple[int, ...]:
@@ -211,6 +214,8 @@ def with_driving(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     from hatn_sim.config import ReplaySource
     from hatn_sim.errors import InputError
 
+    if arguments.drive is not None and not arguments.drive.strip(" ,"):
+        raise InputError(f"--drive {arguments.drive!r}: expected ID or ID@SECONDS; leave it out")
     if arguments.drive is None and arguments.agent != SIMULATORS_OWN:
         raise InputError(f"--agent {arguments.agent} drives nobody; add --drive ID")
     if arguments.net is None:

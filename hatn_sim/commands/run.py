@@ -12,7 +12,6 @@ import argparse
 import sys
 import time
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,19 +34,15 @@ from hatn_sim.commands.options import (
     seconds_or_none,
     with_driving,
 )
+from hatn_sim.commands.run_names import check_recording, check_routes, driven
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
-    from hatn_sim.datatypes import Advice, Frame, Predictor, Simulator
+    from hatn_sim.datatypes import Predictor
     from hatn_sim.learn.others_choice import OthersChoice
-    from hatn_sim.log import RunWriter
     from hatn_sim.loop import Driver
-    from hatn_sim.report.window import Window
-    from hatn_sim.score.what_if import WhatIf
-    from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
 EXAMPLES = """examples:
   hatn-sim run intersection5
@@ -59,8 +54,6 @@ EXAMPLES = """examples:
 DURATION_S = 60.0
 DELAY_MS = 200.0
 """For a warm-up that does not take a minute, and traffic that the eye can follow."""
-NOBODY_DRIVEN = 2
-"""Exit status of a run in which none of the vehicles of --drive was there."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -166,6 +159,8 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.commands.line_choices import choice_header, drawing_lines
     from hatn_sim.commands.recorded_lines import with_lines_for, with_lines_said
     from hatn_sim.commands.run_header import make_header
+    from hatn_sim.commands.run_results import finish
+    from hatn_sim.commands.run_simulated import simulate
     from hatn_sim.errors import SimulatorError
     from hatn_sim.evaluation.seen import pieces_of, said_of_seen
     from hatn_sim.log import RunWriter
@@ -178,6 +173,7 @@ def main(arguments: argparse.Namespace) -> int:
     _check_assist(arguments)
     _check_window(arguments)
     scenario = with_driving(chosen_scenario(arguments), arguments)
+    check_routes(arguments, scenario)
     arguments.seed = chosen_seed(arguments, scenario)
     given: Path | None = arguments.assist_settings
     arguments.assist = AssistSettings() if given is None else read_assist_settings(given)
@@ -189,7 +185,7 @@ def main(arguments: argparse.Namespace) -> int:
     _check_out(out)
     wanted = (arguments.predictor, *arguments.compare)
     # Who acts on advice would teach the network what it said (METHOD section 4).
-    advised = frozenset(_driven(arguments)) | frozenset(arguments.egos or ())
+    advised = frozenset(driven(arguments)) | frozenset(arguments.egos or ())
     predictors = load_predictors(
         wanted, arguments.weights, arguments.adapt, arguments.quiet, advised
     )
@@ -205,6 +201,7 @@ def main(arguments: argparse.Namespace) -> int:
     try:
         with closing(open_traffic(scenario, arguments.delay)) as simulator:
             first = simulator.reset(arguments.seed or 0)
+            check_recording(arguments, simulator)
             if choice is not None:
                 choose_lines_by(simulator.road, choice)
             header["settings"] |= found_out(simulator)
@@ -215,10 +212,10 @@ def main(arguments: argparse.Namespace) -> int:
                 where = f"; the log up to here is in {out}"
                 write_road(out / ROAD_FILE, simulator.road.lanes.values())
                 write_run_choice(out, predictors[0], choice)
-                done = _simulate(arguments, simulator, first, predictors, drivers, writer)
+                done = simulate(arguments, simulator, first, predictors, drivers, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})
-        return _finish(arguments, out, done, started, seen)
+        return finish(arguments, out, done, started, seen)
     except KeyboardInterrupt:
         print(f"hatn-sim: interrupted{where if out.exists() else ''}", file=sys.stderr)
         return 130
@@ -277,164 +274,7 @@ def _load_drivers(arguments: argparse.Namespace) -> dict[str, Driver]:
     from hatn_sim.loop import Driver
     from hatn_sim.plugins import load_agent
 
-    agent, driven = load_agent(arguments.agent), _driven(arguments)
+    agent, wanted = load_agent(arguments.agent), driven(arguments)
     if arguments.agent == SIMULATORS_OWN:
         return {}
-    return {name: Driver(agent, from_s) for name, from_s in driven.items()}
-
-
-def _driven(arguments: argparse.Namespace) -> dict[str, float | None]:
-    """The vehicles of --drive, and from when on."""
-    from hatn_sim.simulators.sumo_replay.simulator import parse_take_over
-
-    return parse_take_over(arguments.drive or "")
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """A run that has been simulated and logged."""
-
-    frames: int
-    began: float  # time.monotonic() after the warm-up
-    seconds: float  # from then on, of the wall clock
-    replay: tuple[Fidelity, Divergence] | None  # of tracks replayed inside SUMO
-
-
-def _simulate(
-    arguments: argparse.Namespace,
-    simulator: Simulator,
-    frame: Frame,
-    predictors: Sequence[Predictor],
-    drivers: Mapping[str, Driver],
-    writer: RunWriter,
-) -> Simulated:
-    from hatn_sim.commands.progress import Progress
-    from hatn_sim.errors import WindowClosedError
-    from hatn_sim.loop import Adviser, run, warm_up
-    from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
-
-    egos = None if arguments.egos is None else frozenset(arguments.egos)
-    settings: AssistSettings = arguments.assist
-    advisers = [Adviser(predictor, arguments.lines, egos, settings) for predictor in predictors]
-    frame = warm_up(simulator, frame, round(arguments.warm_up / simulator.dt_s))
-    duration_s: float | None = arguments.duration
-    total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))
-    began = time.monotonic()
-    what_if, main = _what_if(arguments, simulator), predictors[0].name
-    window, frames = _window(arguments, simulator), 0
-    with Progress(simulator.name, total, simulator.dt_s, arguments.quiet) as progress:
-
-        def write(index: int, frame: Frame, advice: Mapping[str, Advice]) -> None:
-            writer.write(index, frame, advice)
-            if what_if is not None:
-                writer.write_counterfactuals(what_if.see(index, frame, advice[main]))
-            progress.show(index + 1, len(frame.scene.ids))
-            nonlocal frames
-            frames = index + 1
-            if window is not None:
-                window.show(frame.scene, advice[main])
-
-        try:
-            run(simulator, advisers, frame, total or sys.maxsize, write, drivers)
-        except WindowClosedError as error:
-            print(f"hatn-sim: {error}: the run ends here", file=sys.stderr)
-            total = None
-        if what_if is not None:
-            writer.write_counterfactuals(what_if.finish())
-    seconds = time.monotonic() - began
-    if total is not None and frames < total and not arguments.quiet:
-        print(f"hatn-sim: the scene was over after {frames} of {total} steps", file=sys.stderr)
-    replay = None
-    if isinstance(simulator, SumoReplay):
-        replay = simulator.fidelity, simulator.divergence
-    return Simulated(frames, began, seconds, replay)
-
-
-def _window(arguments: argparse.Namespace, simulator: Simulator) -> Window | None:
-    """SUMO's window, if the run is to be watched in it."""
-    if not arguments.gui:
-        return None
-    from hatn_sim.report.window import Window
-    from hatn_sim.simulators.sumo import SumoSimulator
-
-    assert isinstance(simulator, SumoSimulator)
-    return Window(simulator, frozenset(arguments.egos or ()), arguments.ego)
-
-
-def _what_if(arguments: argparse.Namespace, simulator: Simulator) -> WhatIf | None:
-    """What judges a sample of the advice; None where none is wanted, or nothing can be branched."""
-    from hatn_sim.score.counterfactual import CounterfactualSettings
-    from hatn_sim.score.what_if import WhatIf
-
-    if arguments.counterfactuals is None:
-        return None
-    if simulator.cannot_branch is not None:
-        print(f"hatn-sim: run without counterfactuals: {simulator.cannot_branch}", file=sys.stderr)
-        return None
-    settings = CounterfactualSettings()
-    return WhatIf(simulator, arguments.counterfactuals, arguments.seed or 0, settings)
-
-
-def _finish(
-    arguments: argparse.Namespace,
-    out: Path,
-    done: Simulated,
-    started: float,
-    learnt: Mapping[tuple[str, str], str],
-) -> int:
-    from hatn_sim.commands.console import make_console
-    from hatn_sim.commands.run_results import (
-        rates,
-        show_run,
-        tell_counterfactuals,
-        tell_everyday_braking,
-        write_replay,
-    )
-    from hatn_sim.datatypes import DT_S, Kind
-    from hatn_sim.evaluation.seen import with_seen
-    from hatn_sim.log import read_run
-    from hatn_sim.report.table import score_table, scores_json, write_scores
-    from hatn_sim.score.prediction import score_run
-    from hatn_sim.score.samples import clustered_over
-
-    scoring = time.monotonic()
-    logged = read_run(out)
-    scores = with_seen(score_run(logged), learnt)
-    write_scores(out, scores)
-    taken_s = done.seconds + time.monotonic() - scoring
-    shown: list[Path] = []
-    if not arguments.no_picture:
-        shown = show_run(logged, out, arguments.quiet, not arguments.no_page)
-    driven = _driven(arguments)
-    for option, wanted in (("--egos", arguments.egos or ()), ("--drive", driven)):
-        never = [name for name in wanted if name not in logged.ids]
-        if never:
-            print(f"hatn-sim: never seen in this run: {option} {','.join(never)}", file=sys.stderr)
-    # Who asked for a driven vehicle, and had none, has another run than he asked for.
-    drove = 0 if not driven or any(name in logged.ids for name in driven) else NOBODY_DRIVEN
-    if arguments.acts_on_advice and not arguments.quiet:
-        tell_everyday_braking(logged)
-    replayed = write_replay(logged, out, done.replay)
-    if arguments.json:
-        print(scores_json([*scores, *replayed, *rates(logged, done.frames, taken_s)]))
-        return drove
-    make_console().print(score_table(scores, clustered_over([logged])))
-    if done.replay is not None:
-        from hatn_sim.report.replay_table import replay_table
-
-        make_console().print(replay_table(str(logged.header["scene"]), *done.replay))
-    walking = int((logged.kinds == Kind.PEDESTRIAN).sum())
-    seen = f"{len(logged.ids) - walking} vehicles"
-    seen += f" and {walking} pedestrians" if walking else ""
-    print(
-        f"{done.frames} steps of {DT_S:g} s, {seen}, in {taken_s:.1f} s, "
-        f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
-        f"{DT_S * done.frames / taken_s:.1f} times real time"
-    )
-    tell_counterfactuals(logged)
-    before_s = done.began - started
-    print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
-    for path in shown:
-        print(f"to look at: {path}")
-    print(f"log and scores in {out}")
-    return drove
+    return {name: Driver(agent, from_s) for name, from_s in wanted.items()}

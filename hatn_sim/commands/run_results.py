@@ -1,19 +1,77 @@
-"""What `hatn-sim run` tells and leaves of a finished run, besides its log and its scores."""
+"""What `hatn-sim run` tells and leaves of a finished run, besides its log."""
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
+import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hatn_sim.datatypes import DT_S, Score
 
 if TYPE_CHECKING:
+    from hatn_sim.commands.run_simulated import Simulated
     from hatn_sim.log import Run
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
 
 REPLAY_FILE = "replay.json"
+
+
+def finish(
+    arguments: argparse.Namespace,
+    out: Path,
+    done: Simulated,
+    started: float,
+    learnt: Mapping[tuple[str, str], str],
+) -> int:
+    """Score, draw and tell a run that has been logged; its exit status."""
+    from hatn_sim.commands.console import make_console
+    from hatn_sim.commands.run_names import exit_status
+    from hatn_sim.datatypes import Kind
+    from hatn_sim.evaluation.seen import with_seen
+    from hatn_sim.log import read_run
+    from hatn_sim.report.table import score_table, scores_json, write_scores
+    from hatn_sim.score.prediction import score_run
+    from hatn_sim.score.samples import clustered_over
+
+    scoring = time.monotonic()
+    logged = read_run(out)
+    scores = with_seen(score_run(logged), learnt)
+    write_scores(out, scores)
+    taken_s = done.seconds + time.monotonic() - scoring
+    shown: list[Path] = []
+    if not arguments.no_picture:
+        shown = show_run(logged, out, arguments.quiet, not arguments.no_page)
+    status = exit_status(arguments, logged.ids)
+    if arguments.acts_on_advice and not arguments.quiet:
+        tell_everyday_braking(logged)
+    replayed = write_replay(logged, out, done.replay)
+    if arguments.json:
+        print(scores_json([*scores, *replayed, *rates(logged, done.frames, taken_s)]))
+        return status
+    make_console().print(score_table(scores, clustered_over([logged])))
+    if done.replay is not None:
+        from hatn_sim.report.replay_table import replay_table
+
+        make_console().print(replay_table(str(logged.header["scene"]), *done.replay))
+    walking = int((logged.kinds == Kind.PEDESTRIAN).sum())
+    seen = f"{len(logged.ids) - walking} vehicles"
+    seen += f" and {walking} pedestrians" if walking else ""
+    print(
+        f"{done.frames} steps of {DT_S:g} s, {seen}, in {taken_s:.1f} s, "
+        f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
+        f"{DT_S * done.frames / taken_s:.1f} times real time"
+    )
+    tell_counterfactuals(logged)
+    before_s = done.began - started
+    print(f"before that {before_s:.1f} s to start and for {arguments.warm_up:g} s of warm-up")
+    for path in shown:
+        print(f"to look at: {path}")
+    print(f"log and scores in {out}")
+    return status
 
 
 def tell_counterfactuals(logged: Run) -> None:

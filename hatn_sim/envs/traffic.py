@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Final
 
 from hatn_sim.config import HighwaySource, ReplaySource, Scenario, load_scenario, load_tracks
-from hatn_sim.envs.demand import coming, lasts_s
 from hatn_sim.envs.errors import EgoError, OptionError, in_python
 from hatn_sim.envs.options import EnvOptions
 from hatn_sim.errors import InputError, nearest
 from hatn_sim.resources import find_scenarios
+from hatn_sim.simulators.sumo_demand import coming, lasts_s
 
 WARM_UP_S: Final = 60.0
 """Scenes that ship begin empty."""

@@ -111,7 +111,7 @@ class RunWriter:
                     rows.prediction_rows(frame_index, scene, of_predictor.prediction, vehicles)
                 )
                 if order == 0:
-                    self._write_suggestions(frame_index, of_predictor)
+                    self._write_suggestions(frame_index, scene.time_s, of_predictor)
                     for alert in of_predictor.alerts:
                         _write_line(self._alerts, {"frame": frame_index, **asdict(alert)})
             # Last: a frame counts for readers from here on, whatever interrupts the run.
@@ -166,15 +166,20 @@ class RunWriter:
                 event = {"frame": frame_index, "time_s": time_s, "type": kind, "ids": ids}
                 _write_line(self._events, event)
 
-    def _write_suggestions(self, frame_index: int, advice: Advice) -> None:
-        """A line when action, slot, feasibility or the reason for silence change.
+    def _write_suggestions(self, frame_index: int, time_s: float, advice: Advice) -> None:
+        """A line when action, slot, feasibility or the reason change: advice may be held against
+        what has become likely meanwhile.
 
         Not when a probability stirs.
         """
         advised = {}
         for suggestion in advice.suggestions:
-            silence = suggestion.reason if suggestion.action == "abstain" else ""
-            key = suggestion.action, suggestion.slot_id, suggestion.feasible, silence
+            key = (
+                suggestion.action,
+                suggestion.slot_id,
+                suggestion.feasible,
+                suggestion.reason,
+            )
             advised[suggestion.ego_id] = key
             if self._advised.get(suggestion.ego_id) != key:
                 line = {"frame": frame_index, **asdict(suggestion)}
@@ -184,7 +189,7 @@ class RunWriter:
                 _write_line(self._suggestions, line)
         for ego_id in self._advised:
             if ego_id not in advised:
-                gone = {"frame": frame_index, "ego_id": ego_id, "action": None}
+                gone = {"frame": frame_index, "time_s": time_s, "ego_id": ego_id, "action": None}
                 _write_line(self._suggestions, gone)
         self._advised = advised
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -39,29 +38,12 @@ from hatn_sim.simulators.sumo_replay.figures import (
 )
 from hatn_sim.simulators.sumo_replay.frame import overlaps_of, shown_scene, shown_truth
 from hatn_sim.simulators.sumo_replay.match import LaneMatcher
-from hatn_sim.simulators.sumo_replay.plan import Cast, type_of
+from hatn_sim.simulators.sumo_replay.plan import Cast
 from hatn_sim.simulators.sumo_replay.survey import BESIDE_SHARE, Survey, survey
+from hatn_sim.simulators.sumo_replay.take_over import parse_take_over
+from hatn_sim.simulators.sumo_replay.vehicle_types import vehicle_types
 
 WORKER: Final = "hatn_sim.simulators.sumo_replay.worker"
-DRIVERS: Final = {
-    Kind.CAR: ("passenger", 2.1, 3.3),
-    Kind.VAN: ("delivery", 1.9, 3.3),
-    Kind.LORRY: ("truck", 1.2, 3.0),
-    Kind.BUS: ("bus", 1.2, 3.0),
-    Kind.MOTORCYCLE: ("motorcycle", 2.6, 3.5),
-    Kind.BICYCLE: ("bicycle", 1.2, 3.0),
-    Kind.TRAM: ("tram", 1.0, 3.0),
-    Kind.OTHER: ("passenger", 2.1, 3.3),
-}
-"""SUMO's vehicle class of each kind, and its acceleration and comfortable deceleration in m/s2.
-
-Pedestrians are not placed.
-"""
-DRIVER: Final = (
-    'carFollowModel="EIDM" treaction="0.1" tau="1.25" minGap="2" emergencyDecel="9" '
-    'speedFactor="normc(1,0.1,0.8,1.2)"'
-)
-"""Between the steady and the brisk drivers of the scenes that ship."""
 
 
 class SumoReplay:
@@ -389,33 +371,3 @@ def open_replay(
     Raises InputError where that cannot be read or there is no such net.
     """
     return SumoReplay(recording, net_path, parse_take_over(take_over), react_from_s)
-
-
-def parse_take_over(text: str) -> dict[str, float | None]:
-    """`12@3.5,13` -> vehicle 12 from 3.5 s on, 13 from its appearance on. Raises InputError."""
-    wanted: dict[str, float | None] = {}
-    for word in filter(None, (part.strip() for part in text.split(","))):
-        vehicle, at, seconds = word.rpartition("@")
-        name = vehicle if at else word
-        try:
-            at_s = float(seconds) if at else None
-        except ValueError:
-            at_s = math.nan
-        if at_s is not None and not math.isfinite(at_s):
-            raise InputError(
-                f"take-over {word!r}: expected ID or ID@SECONDS, found {seconds!r} for the seconds"
-            )
-        if name in wanted:
-            raise InputError(f"take-over {word!r}: {name!r} is named twice; name it once")
-        wanted[name] = at_s
-    return wanted
-
-
-def vehicle_types() -> str:
-    """An additional file of SUMO with a vehicle type for each kind that is placed."""
-    types = "\n".join(
-        f'    <vType id="{type_of(kind)}" vClass="{vehicle_class}" accel="{accel_mps2}" '
-        f'decel="{decel_mps2}" {DRIVER}/>'
-        for kind, (vehicle_class, accel_mps2, decel_mps2) in DRIVERS.items()
-    )
-    return f"<additional>\n{types}\n</additional>\n"

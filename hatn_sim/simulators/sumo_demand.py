@@ -35,7 +35,8 @@ def lasts_s(scenario: Scenario) -> float | None:
 def coming(scenario: Scenario) -> tuple[Callable[[str], bool], tuple[str, ...]] | None:
     """Whether a name is one that comes, and the names; None: that cannot be told.
 
-    Vehicles of a flow are told by it and a number: `north.12`.
+    Vehicles of a flow are told by it and a number: `north.12`; so are the further ones of a vehicle
+    that SUMO's --scale multiplies.
     """
     if not is_of_sumo(scenario):
         return None
@@ -56,6 +57,6 @@ def coming(scenario: Scenario) -> tuple[Callable[[str], bool], tuple[str, ...]] 
 
     def comes(name: str) -> bool:
         flow, _, number = name.rpartition(".")
-        return name in names or (flow in flows and number.isdecimal())
+        return name in names or (flow in flows | names and number.isdecimal())
 
     return comes, (*names, *(f"{flow}.0" for flow in flows))
