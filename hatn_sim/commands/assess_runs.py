@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from hatn_sim.resources import SUITES, scenes_of_suite
 
 if TYPE_CHECKING:
-    from hatn_sim.assist.settings import AssistSettings
+    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
     from hatn_sim.config import Scenario
     from hatn_sim.evaluation.assessing import AssessPlan
     from hatn_sim.score.assessed import AssessedRun
@@ -143,7 +143,7 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
 
 
 def assist_settings(arguments: argparse.Namespace) -> AssistSettings:
-    from hatn_sim.assist.settings import AssistSettings
+    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
 
     path: Path | None = arguments.assist_settings
     return AssistSettings() if path is None else read_assist_settings(path)
