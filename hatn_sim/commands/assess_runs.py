@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from hatn_sim.resources import SUITES, scenes_of_suite
 
 if TYPE_CHECKING:
-    from hatn_sim.assist.settings import AssistSettings, read_assist_settings
+    from hatn_sim.assist.settings import AssistSettings
     from hatn_sim.config import Scenario
     from hatn_sim.evaluation.assessing import AssessPlan
     from hatn_sim.score.assessed import AssessedRun
