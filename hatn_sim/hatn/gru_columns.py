@@ -37,7 +37,7 @@ class LastState(nn.Module):
 
 
 class Cell:
-    """A GRU that reads a block [R, B] and changes its first rows in place: the hidden state's half."""
+    """A GRU that reads a block [R, B] and changes its first rows, its state's half, in place."""
 
     def __init__(self, weight: Tensor, block: Tensor) -> None:
         width = weight.shape[0] // 4
