@@ -124,7 +124,9 @@ def foresee_all(asked: Sequence[Asked]) -> list[Foreseen]:
 
     In one batch where the predictor makes one; else as each alone.
     """
-    predictor = asked[0][0].adviser.predictor if asked else None
+    if not asked:
+        return []
+    predictor = asked[0][0].adviser.predictor
     if not isinstance(predictor, BatchPredictor):
         return [_foreseen(one) for one in asked]
     minds = _glanced_together(predictor, asked)
