@@ -11,6 +11,7 @@ where it will turn.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -22,6 +23,7 @@ from hatn_sim.habits import Habits, share_nats
 from hatn_sim.lane_graph import AHEAD_M, NEAR_M, NEAR_RAD
 from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.tracks import rows_before
+from hatn_sim.worlds import world_of
 
 MAX_CANDIDATES: Final = 24
 WARP_FRAMES: Final = 31
@@ -178,8 +180,13 @@ def _foot_cost_m(
     return np.abs(d_m) + HEADING_COST_M * (1.0 - np.cos(turned)), turned
 
 
-def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Habits) -> LineState:
-    """Draw candidates for newcomers, for vehicles off their lines and for lines that run out."""
+def renew(
+    state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Sequence[Habits]
+) -> LineState:
+    """Draw candidates for newcomers, for vehicles off their lines and for lines that run out.
+
+    `habits` are those of every world.
+    """
     vehicle = np.arange(len(state.ids))
     best = np.maximum(state.chosen, 0)
     own = np.where(state.chosen >= 0, state.line[vehicle, best], -1)
@@ -197,6 +204,7 @@ def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Ha
     if not (astray | short).any():
         return state
     fields = {name: getattr(state, name).copy() for name in _PER_VEHICLE}
+    world = world_of(scene).tolist()
     for i in np.flatnonzero(astray | short).tolist():
         kind = Kind(int(scene.kind[i]))
         if astray[i]:
@@ -217,7 +225,7 @@ def renew(state: LineState, road: Road, tracks: Tracks, scene: Scene, habits: Ha
         warped = _warp(road, tracks, i, float(scene.size_m[i, 0]), np.array(found, dtype=np.int64))
         cost, kept = warped.cost_m, warped.line
         nearest = np.sort(np.argsort(cost, kind="stable")[:MAX_CANDIDATES])
-        order = nearest[_by_habit(road, habits, kept[nearest])]
+        order = nearest[_by_habit(road, habits[world[i]], kept[nearest])]
         count = len(order)
         for name in ("line", "s_m", "cost_m", "now_m", "d_m", "turned_rad"):
             fields[name][i, :count] = getattr(warped, name)[order]

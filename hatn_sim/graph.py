@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import (
     HISTORY_FRAMES,
@@ -28,6 +27,7 @@ from hatn_sim.datatypes import (
 from hatn_sim.perception import Motion, Perception, motion_along
 from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.speed_profile import ACCELERATION_MPS2, allowed_speed_mps, free_travel_m
+from hatn_sim.worlds import is_closed, near_pairs
 
 INTERACTION_M: Final = 60.0
 """Conflicts nearer than this to both vehicles are active."""
@@ -166,10 +166,7 @@ class Active:
 def active_conflicts(road: Road, seen: Perception, ego: IntArray) -> Active:
     """Conflicts within reach of both vehicles: for each pair the first along the ego's line."""
     line, s, ids = seen.lines.line, seen.lines.s_m, seen.scene.ids
-    near = np.zeros((0, 2), dtype=np.int64)
-    if len(ego) > 1:
-        tree = KDTree(seen.scene.xy_m[ego])
-        near = ego[tree.query_pairs(2 * INTERACTION_M, output_type="ndarray")]
+    near = near_pairs(seen.scene, ego, 2 * INTERACTION_M)
     met = road.conflict_table.of_pairs(line[near[:, 0]], line[near[:, 1]])
     pair = near[met.pair]
     to_m = met.point_s_m - s[pair]
@@ -215,10 +212,6 @@ def gates_ahead(road: Road, scene: Scene, lines: Lines) -> Gates:
     # A vehicle that stands with its bumper a little over the line is still behind it.
     ahead = (to_gate > -0.5) & (lines.line >= 0)[:, None]
     kind, signal = road.gate_type[line], road.gate_signal[line]
-    # A recording may know nothing of the signals of its map: these count as open.
-    signals = int(signal.max(initial=-1)) + 2
-    closed = np.zeros(max(signals, len(scene.signal_closed) + 1), dtype=np.bool_)
-    closed[: len(scene.signal_closed)] = scene.signal_closed  # the last: found by -1
 
     def nearest_m(counts: BoolArray) -> FloatArray:
         return np.where(ahead & counts, to_gate, np.inf).min(axis=1)
@@ -226,7 +219,7 @@ def gates_ahead(road: Road, scene: Scene, lines: Lines) -> Gates:
     return Gates(
         stop_m=nearest_m(kind == Gate.STOP_LINE),
         give_way_m=nearest_m(kind == Gate.GIVE_WAY_LINE),
-        closed_m=nearest_m((kind == Gate.SIGNAL) & closed[signal]),
+        closed_m=nearest_m((kind == Gate.SIGNAL) & is_closed(scene, signal)),
     )
 
 

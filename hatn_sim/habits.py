@@ -7,6 +7,7 @@ begins with even shares, but for turning around, which is rare everywhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -90,6 +91,18 @@ def _steps_m(lane: Lane) -> list[list[float]]:
     """From point to point of a lane, without those of no length."""
     step_m = np.diff(lane.xy_m, axis=0)
     return step_m[(step_m != 0.0).any(axis=1)].tolist()
+
+
+def habits_joined(every: Sequence[Habits]) -> Habits:
+    """Those of several worlds on one road, for `share_nats` alone: the lanes one after another."""
+    source, count = every[0].source, len(every[0].source)
+    return Habits(
+        taken=np.concatenate([one.taken for one in every]),
+        entered=np.concatenate([one.entered for one in every]),
+        source=np.concatenate([source + k * count for k in range(len(every))]),
+        signalled=math.nan,
+        turned=math.nan,
+    )
 
 
 def share_nats(habits: Habits, connection: IntArray) -> FloatArray:

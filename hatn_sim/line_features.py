@@ -6,6 +6,7 @@ features, and so has a turned or shifted one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,9 +15,10 @@ import numpy as np
 from hatn_sim.candidates import LineState
 from hatn_sim.datatypes import DT_S, FloatArray, IntArray, Scene, Tracks
 from hatn_sim.geometry import interpolate, wrap_angle
-from hatn_sim.habits import Habits, share_nats, silent_nats
+from hatn_sim.habits import Habits, habits_joined, share_nats, silent_nats
 from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.speed_profile import LATERAL_MPS2
+from hatn_sim.worlds import world_of
 
 SHARP_M: Final = 0.005
 BLUNT_M: Final = 0.3
@@ -94,18 +96,31 @@ class Evidence:
     nats: FloatArray  # [Q, 4] see HAND_MADE
     away_m: FloatArray  # [Q, 2] to the next connection and the one after it
     next_nats: FloatArray  # [Q, 2] what habit and blinker say of the one after the next
-    silent_nats: float  # of a driver who turns
+    silent_nats: float | FloatArray  # of a driver who turns; [N] where worlds differ
     first: IntArray  # [G] of the candidates that differ by nothing near enough to tell
     alike: IntArray  # [Q] which of these a candidate is like
 
 
-def collect_evidence(state: LineState, road: Road, scene: Scene, habits: Habits) -> Evidence:
-    """The -log likelihoods of every candidate by motion, blinker and habit."""
+def collect_evidence(
+    state: LineState, road: Road, scene: Scene, habits: Habits | Sequence[Habits]
+) -> Evidence:
+    """The -log likelihoods of every candidate by motion, blinker and habit.
+
+    `habits` may be those of every world.
+    """
     vehicle, slot = np.nonzero(state.line >= 0)
     line, front_m = state.line[vehicle, slot], state.s_m[vehicle, slot]
     passed = (road.fork_end_s_m[line] <= front_m[:, None]).sum(axis=1)
     blinker = scene.blinker[vehicle]
-    silence = silent_nats(habits)
+    first: IntArray | int = 0  # of the lanes of a vehicle's world
+    if isinstance(habits, Habits) or len(habits) == 1:
+        habits = habits if isinstance(habits, Habits) else habits[0]
+        of_driver = silence = silent_nats(habits)
+    else:
+        world = world_of(scene)
+        first = len(habits[0].source) * world[vehicle]
+        of_driver = np.array([silent_nats(own) for own in habits])[world]
+        silence, habits = of_driver[vehicle], habits_joined(habits)
 
     def at(order: int) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
         """Of a connection ahead: metres to it, its number, and the nats of what is observed."""
@@ -121,7 +136,7 @@ def collect_evidence(state: LineState, road: Road, scene: Scene, habits: Habits)
             np.where(known, lane, -2 - line),
             against * _nearness(away_m, BLINKER_REACH_M),
             silent * _nearness(away_m, SILENT_REACH_M),
-            np.where(known, share_nats(habits, lane), 0.0),
+            np.where(known, share_nats(habits, first + lane), 0.0),
         )
 
     away_m, connection, against, silent, habit = at(0)
@@ -138,7 +153,7 @@ def collect_evidence(state: LineState, road: Road, scene: Scene, habits: Habits)
         nats=np.stack((motion, against, silent, habit), axis=1),
         away_m=np.stack((away_m, next_away_m), axis=1),
         next_nats=np.stack((next_habit - np.log(ways), next_against + next_silent), axis=1),
-        silent_nats=silence,
+        silent_nats=of_driver,
         first=first,
         alike=alike,
     )

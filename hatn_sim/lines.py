@@ -11,6 +11,7 @@ course through its next junction. Hysteresis does the rest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -24,6 +25,7 @@ from hatn_sim.habits import Habits, fresh_habits, learn
 from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
 from hatn_sim.line_features import BLUNT_M, Evidence, collect_evidence, line_features
 from hatn_sim.road import LINE_STEP_M, Road
+from hatn_sim.worlds import Worlds, ids_joined, joined, part, world_of
 
 STEADY_M: Final = 10.0
 """How far a vehicle keeps from its best lines fades by 1/e over this distance."""
@@ -54,18 +56,56 @@ def follow_lines(
 
     Candidates are scored by `choice`; None: the one that ships.
     """
+    choice = choice or shipped_line_choice()
+    moved, lines, (habits,) = _follow(state, [state.habits], road, tracks, scene, routes, choice)
+    return replace(moved, habits=habits), lines
+
+
+def follow_all(
+    states: Sequence[LineState],
+    road: Road,
+    tracks: Tracks,
+    scene: Worlds,
+    routes: tuple[Route | None, ...] | None,
+    choice: LineChoice,
+) -> tuple[list[LineState], Lines]:
+    """What `follow_lines` gives of each of several worlds on one road, the lines one after another.
+
+    `tracks`, `scene` and `routes` are those of all.
+    """
+    ids = ids_joined([state.ids for state in states])
+    state = joined(LineState, states, ids=ids, habits=None)
+    known = [one.habits for one in states]
+    moved, lines, habits = _follow(state, known, road, tracks, scene, routes, choice)
+    road.touch(moved.line)
+    after = [
+        part(moved, rows, ids=one.ids, habits=own)
+        for one, rows, own in zip(scene.scenes, scene.rows, habits, strict=True)
+    ]
+    return after, lines
+
+
+def _follow(
+    state: LineState,
+    known: Sequence[Habits | None],
+    road: Road,
+    tracks: Tracks,
+    scene: Scene,
+    routes: tuple[Route | None, ...] | None,
+    choice: LineChoice,
+) -> tuple[LineState, Lines, Sequence[Habits | None]]:
+    """One frame on in worlds with habits of their own."""
     moved = advance(state, road, tracks, scene)
     if routes is not None:
         moved = _take_routes(moved, road, scene, routes)
         probability = np.where(moved.line[:, 0] >= 0, 1.0, 0.0)
-        return moved, _lines(moved, road, scene, probability)
-    habits = state.habits or fresh_habits(road)
+        return moved, _lines(moved, road, scene, probability), known
+    habits = [own or fresh_habits(road) for own in known]
     moved = _spread(renew(moved, road, tracks, scene, habits), tracks)
     evidence = collect_evidence(moved, road, scene, habits)
-    score = _score(evidence, moved, road, tracks, scene, choice or shipped_line_choice())
-    moved = _choose(moved, score)
-    moved = _learn(moved, road, scene, habits)
-    return moved, _lines(moved, road, scene, _probability(moved, score, evidence))
+    score = _score(evidence, moved, road, tracks, scene, choice)
+    moved, habits = _learn(_choose(moved, score), road, scene, habits)
+    return moved, _lines(moved, road, scene, _probability(moved, score, evidence)), habits
 
 
 def _take_routes(
@@ -147,7 +187,9 @@ def _probability(state: LineState, score: FloatArray, evidence: Evidence) -> Flo
     return np.where(state.chosen >= 0, mine / np.maximum(total, 1e-12), 0.0)
 
 
-def _learn(state: LineState, road: Road, scene: Scene, habits: Habits) -> LineState:
+def _learn(
+    state: LineState, road: Road, scene: Scene, habits: Sequence[Habits]
+) -> tuple[LineState, list[Habits]]:
     """Note the connections that vehicles come to the end of, and who signals on them."""
     rows = np.arange(len(state.ids))
     own = np.maximum(state.chosen, 0)
@@ -155,7 +197,7 @@ def _learn(state: LineState, road: Road, scene: Scene, habits: Habits) -> LineSt
     line = state.line[rows, own][on]
     inside = np.full(len(rows), -1, dtype=np.int64)
     if not len(on):
-        return replace(state, inside=inside, habits=habits)
+        return replace(state, inside=inside), list(habits)
     front_m = state.s_m[rows, own][on, None]
     past = road.fork_end_s_m[line] <= front_m
     under = ~past & (road.fork_s_m[line] <= front_m)
@@ -164,8 +206,17 @@ def _learn(state: LineState, road: Road, scene: Scene, habits: Habits) -> LineSt
     inside[on] = np.where(is_in, lane[np.arange(len(on)), fork], -1)
     left: BoolArray = ((lane == state.inside[on, None]) & past).any(axis=1)
     turn = np.where(is_in, road.fork_turn[line, fork], 0)
-    habits = learn(habits, state.inside[on][left], turn[turn != 0], scene.blinker[on][turn != 0])
-    return replace(state, inside=inside, habits=habits)
+    turns = turn != 0
+    gone, turning, blinker = state.inside[on][left], turn[turns], scene.blinker[on][turns]
+    if len(habits) == 1:
+        return replace(state, inside=inside), [learn(habits[0], gone, turning, blinker)]
+    world = world_of(scene)[on]
+    of_gone, of_turning = world[left], world[turns]
+    learned = [
+        learn(own, gone[of_gone == k], turning[mine := of_turning == k], blinker[mine])
+        for k, own in enumerate(habits)
+    ]
+    return replace(state, inside=inside), learned
 
 
 def _lines(state: LineState, road: Road, scene: Scene, probability: FloatArray) -> Lines:

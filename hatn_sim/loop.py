@@ -95,6 +95,11 @@ def _perceived(memory: Any) -> PerceptionState | None:
     return perceived if isinstance(perceived, PerceptionState) else None
 
 
+def with_memory(state: AdviserState, memory: Any) -> AdviserState:
+    """The state when a predictor of this package has taken in one frame more."""
+    return replace(state, memory=memory, perception=_perceived(memory) or state.perception)
+
+
 def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState:
     """Take in a frame for which no advice is wanted."""
     routes = frame.truth.routes if adviser.lines == "route" else None

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from hatn_sim.datatypes import HISTORY_FRAMES, FloatArray, IntArray, Lines, Route, Scene, Tracks
 from hatn_sim.geometry import wrap_angle
 from hatn_sim.line_choice import LineChoice, shipped_line_choice
-from hatn_sim.lines import LineState, empty_lines, follow_lines
+from hatn_sim.lines import LineState, empty_lines, follow_all, follow_lines
 from hatn_sim.road import Road
 from hatn_sim.tracks import empty_tracks, extend
+from hatn_sim.worlds import ids_joined, joined, near_pairs, part, worlds_joined
 
 CORRIDOR_M: Final = 1.8
 """A vehicle this near to a line, heading along it, is in the line's corridor."""
@@ -136,6 +137,39 @@ def perceive(
     return after
 
 
+def perceive_all(
+    states: Sequence[PerceptionState],
+    scenes: Sequence[Scene],
+    routes: Sequence[tuple[Route | None, ...]] | None,
+) -> list[PerceptionState]:
+    """What `perceive` gives of each, of worlds on one road that choose lines alike, in one go."""
+    road, choice = states[0].road, states[0].choice
+    scene = worlds_joined(scenes)
+    tracks = extend(_tracks_joined([state.seen.tracks for state in states]), scene)
+    all_routes = None if routes is None else tuple(route for own in routes for route in own)
+    line_states = [state.line_state for state in states]
+    line_states, lines = follow_all(line_states, road, tracks, scene, all_routes, choice)
+    after: list[PerceptionState] = []
+    for one, line_state, rows in zip(scenes, line_states, scene.rows, strict=True):
+        seen = Perception(road, one, part(tracks, rows, ids=one.ids), part(lines, rows))
+        after.append(PerceptionState(road, choice, line_state, seen))
+    return after
+
+
+def perceptions_joined(every: Sequence[Perception]) -> Perception:
+    """What was seen of several worlds on one road, as of one."""
+    return Perception(
+        every[0].road,
+        worlds_joined([seen.scene for seen in every]),
+        _tracks_joined([seen.tracks for seen in every]),
+        joined(Lines, [seen.lines for seen in every]),
+    )
+
+
+def _tracks_joined(every: Sequence[Tracks]) -> Tracks:
+    return joined(Tracks, every, ids=ids_joined([tracks.ids for tracks in every]))
+
+
 def motion_along(
     road: Road,
     tracks: Tracks,
@@ -175,7 +209,7 @@ def find_leaders(road: Road, scene: Scene, lines: Lines) -> tuple[IntArray, Floa
     leader_s_m = np.full(count, np.inf)
     if count < 2:
         return leader, leader_s_m
-    pairs = KDTree(scene.xy_m).query_pairs(LEADER_REACH_M, output_type="ndarray")
+    pairs = near_pairs(scene, np.arange(count), LEADER_REACH_M)
     follower = np.concatenate((pairs[:, 0], pairs[:, 1]))
     ahead = np.concatenate((pairs[:, 1], pairs[:, 0]))
     keep = lines.line[follower] >= 0

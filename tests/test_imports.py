@@ -46,7 +46,7 @@ LAYERS = (
     ("config", "conflict_table", "conflicts", "lane_graph", "lane_index", "road", "simulators"),
     (
         *("candidates", "graph", "habits", "labels", "line_choice", "line_features", "lines"),
-        *("perception", "speed_profile", "tracks", "way"),
+        *("perception", "speed_profile", "tracks", "way", "worlds"),
     ),
     ("assist", "hatn", "planning", "predictors"),
     (

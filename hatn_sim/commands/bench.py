@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from hatn_sim.commands.options import whole_number, whole_numbers
 
@@ -26,6 +26,9 @@ EXAMPLES = """examples:
   hatn-sim bench --scaling
   hatn-sim bench --envs --scene intersection5
 """
+STEPS: Final = 300
+ENV_STEPS: Final = 1500
+"""Of each environment: episodes differ, and a few are no measure of how many vehicles there are."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="vehicles at once (default: 10,30,100)",
     )
     parser.add_argument(
-        "--steps", type=whole_number, default=300, metavar="N", help="to time (default: 300)"
+        "--steps",
+        type=whole_number,
+        metavar="N",
+        help=f"to time (default: {STEPS}, with --envs {ENV_STEPS:,} of each)",
     )
     parser.add_argument("--seed", type=int, default=1, help="of the traffic (default: 1)")
     parser.add_argument(
@@ -77,11 +83,11 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.scaling:
         return _scaling(arguments, scenario)
     if arguments.envs:
-        return _environments(arguments)
+        return _environments(arguments, scenario)
     predictor = Hatn(arguments.weights or weights_dir() / "hatn.safetensors")
     # In rising order: the peak of this process's memory is the one so far.
     benches = [
-        bench(scenario, predictor, vehicles, arguments.steps, arguments.seed)
+        bench(scenario, predictor, vehicles, arguments.steps or STEPS, arguments.seed)
         for vehicles in sorted(arguments.vehicles)
     ]
     if arguments.json:
@@ -106,7 +112,7 @@ def main(arguments: argparse.Namespace) -> int:
 def _scaling(arguments: argparse.Namespace, scenario: Scenario) -> int:
     from hatn_sim.bench_scaling import measure_scaling
 
-    rows = measure_scaling(scenario, arguments.steps, arguments.seed)
+    rows = measure_scaling(scenario, arguments.steps or STEPS, arguments.seed)
     if arguments.json:
         import json
         from dataclasses import asdict
@@ -134,21 +140,19 @@ def _scaling(arguments: argparse.Namespace, scenario: Scenario) -> int:
     return 0
 
 
-def _environments(arguments: argparse.Namespace) -> int:
-    from hatn_sim.config import load_scenario
+def _environments(arguments: argparse.Namespace, scenario: Scenario) -> int:
+    from dataclasses import asdict, replace
+
     from hatn_sim.envs.speed import BESIDE, CHUNK_FRAMES, measure_resets, measure_speeds
     from hatn_sim.predictors.find import load_predictor
 
-    scenario = load_scenario(arguments.scene)
-    if scenario.densities:  # the first is the one of least traffic, the nearest to highway-env's
-        scenario = load_scenario(arguments.scene, scenario.densities[0])
     predictor = load_predictor("hatn", arguments.weights)
-    rounds = max(arguments.steps // CHUNK_FRAMES, 1)
+    rounds = max((arguments.steps or ENV_STEPS) // CHUNK_FRAMES, 1)
     speeds = measure_speeds(scenario, predictor, rounds, arguments.seed)
-    resets = measure_resets(scenario, predictor, arguments.seed)
+    beside, alone, *_, several = speeds
+    resets = measure_resets(replace(scenario, scale=alone.scale), predictor, arguments.seed)
     if arguments.json:
         import json
-        from dataclasses import asdict
 
         told = {"speeds": list(map(asdict, speeds)), "resets": list(map(asdict, resets))}
         print(json.dumps(told, indent=2))
@@ -159,13 +163,19 @@ def _environments(arguments: argparse.Namespace) -> int:
 
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="italic")
     table.add_column("environment")
-    for title in ("vehicles", "frames/s", f"of {BESIDE}'s"):
+    for title in ("vehicles", "frames/s", f"of {BESIDE}'s", "simulated s/s", f"of {BESIDE}'s"):
         table.add_column(title, justify="right")
     for one in speeds:
-        row = f"{one.vehicles:.1f}", f"{one.frames_per_s:.0f}", f"x{one.ratio:.2f}"
-        table.add_row(one.what, *row)
-    density = "" if scenario.density is None else f", {scenario.density} traffic"
-    print(f"frames of the simulator a second, by turns in one run: {scenario.name}{density}")
+        per_s = one.frames_per_s
+        table.add_row(
+            *(one.what, f"{one.vehicles:.1f}", f"{per_s:.0f}", f"x{one.ratio:.2f}"),
+            *(f"{per_s * one.frame_s:.1f}", f"x{one.ratio_of_time:.2f}"),
+        )
+    print("frames of the simulator a second, by turns in one run, with as many vehicles")
+    print(f"a frame: {beside.frame_s:.3f} s in {BESIDE}, {alone.frame_s:.3f} s in all others")
+    print(
+        f"{scenario.name}: at {alone.scale:.2f} times its demand, {several.scale:.2f} side by side"
+    )
     make_console().print(table)
     for one in resets:
         print(

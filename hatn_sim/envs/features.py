@@ -26,7 +26,7 @@ ROAD_AT_M: Final = (0.0, 8.0, 16.0, 30.0, 50.0)
 TRAJECTORY_M: Final = 250.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # compared by identity: tables of them are looked up often
 class Feature:
     """One number of an observation. What is beyond its range is observed as the end of it."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
-from hatn_sim.datatypes import Advice, FloatArray, Frame, Prediction, Predictor, Scene
+from hatn_sim.datatypes import Advice, FloatArray, Frame, Prediction, Predictor, Route, Scene
 from hatn_sim.envs.errors import OptionError, in_python
 from hatn_sim.envs.observation import Sight
 from hatn_sim.errors import InputError
@@ -25,6 +25,7 @@ from hatn_sim.loop import (
     check_prediction,
     foresee,
     observe,
+    with_memory,
 )
 from hatn_sim.predictors.find import load_predictor
 from hatn_sim.road import Road
@@ -36,6 +37,15 @@ NEAREST_FIRST: Final = 0.01
 @runtime_checkable
 class BatchPredictor(Protocol):
     """A predictor that is faster for several memories at once than for one after another."""
+
+    def observe_all(
+        self,
+        states: Sequence[Any],
+        scenes: Sequence[Scene],
+        routes: Sequence[tuple[Route | None, ...]] | None = None,
+    ) -> Sequence[Any]:
+        """What `observe` gives of each."""
+        ...
 
     def predict_all(self, states: Sequence[Any]) -> list[Prediction]:
         """What `predict` says of each, but for rounding."""
@@ -61,8 +71,10 @@ class Thought:
     sight: Sight
 
 
-Asked = tuple[Mind, Scene]
-"""A mind that wants a prediction, and the scene that it has taken in last."""
+Asked = tuple[Mind, Sequence[Frame]]
+"""A mind that wants a prediction, and the frames up to now that it has not taken in yet."""
+Foreseen = tuple[Mind, Prediction]
+"""The mind when it has taken them in, and what is predicted."""
 
 
 def predictor_of(named: str | Predictor | None) -> Predictor | None:
@@ -96,12 +108,19 @@ def glance(mind: Mind, frame: Frame) -> Mind:
 
 def think(mind: Mind, frame: Frame) -> tuple[Mind, Thought]:
     """Take in a frame and be advised: the one `tick()`, in the parts that it has."""
-    mind = glance(mind, frame)
-    return conclude(mind, frame.scene, foresee(mind.adviser, mind.state, frame.scene))
+    mind, prediction = _foreseen((mind, (frame,)))
+    return conclude(mind, frame.scene, prediction)
 
 
-def foresee_all(asked: Sequence[Asked]) -> list[Prediction]:
-    """Predictions of one predictor for several minds that have taken in a scene each.
+def _foreseen(asked: Asked) -> Foreseen:
+    mind, frames = asked
+    for frame in frames:
+        mind = glance(mind, frame)
+    return mind, foresee(mind.adviser, mind.state, frames[-1].scene)
+
+
+def foresee_all(asked: Sequence[Asked]) -> list[Foreseen]:
+    """Predictions of one predictor for several minds, each with frames to take in before.
 
     In one batch where the predictor makes one; else as each alone.
     """
@@ -109,11 +128,28 @@ def foresee_all(asked: Sequence[Asked]) -> list[Prediction]:
         return []
     predictor = asked[0][0].adviser.predictor
     if not isinstance(predictor, BatchPredictor):
-        return [foresee(mind.adviser, mind.state, scene) for mind, scene in asked]
-    predictions = predictor.predict_all([mind.state.memory for mind, _ in asked])
-    for (_, scene), prediction in zip(asked, predictions, strict=True):
-        check_prediction(predictor.name, prediction, scene)
-    return predictions
+        return [_foreseen(one) for one in asked]
+    minds = _glanced_together(predictor, asked)
+    predictions = predictor.predict_all([mind.state.memory for mind in minds])
+    for (_, frames), prediction in zip(asked, predictions, strict=True):
+        check_prediction(predictor.name, prediction, frames[-1].scene)
+    return list(zip(minds, predictions, strict=True))
+
+
+def _glanced_together(predictor: BatchPredictor, asked: Sequence[Asked]) -> list[Mind]:
+    """The minds with all their frames taken in, each frame by all who have one more."""
+    minds = [mind for mind, _ in asked]
+    by_route = minds[0].adviser.lines == "route"
+    for number in range(max(len(frames) for _, frames in asked)):
+        some = {k: frames[number] for k, (_, frames) in enumerate(asked) if number < len(frames)}
+        memories = predictor.observe_all(
+            [minds[k].state.memory for k in some],
+            [frame.scene for frame in some.values()],
+            [frame.truth.routes for frame in some.values()] if by_route else None,
+        )
+        for k, memory in zip(some, memories, strict=True):
+            minds[k] = replace(minds[k], state=with_memory(minds[k].state, memory))
+    return minds
 
 
 def conclude(mind: Mind, scene: Scene, prediction: Prediction) -> tuple[Mind, Thought]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import gymnasium
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, BoolArray
+from hatn_sim.datatypes import DT_S, BoolArray, Frame
 from hatn_sim.envs import SCENES
 from hatn_sim.envs.action import Slots, action_space
 from hatn_sim.envs.driving import driven, plan_of
@@ -15,7 +16,7 @@ from hatn_sim.envs.ego import begin_episode
 from hatn_sim.envs.episode import TERMINAL, Episode
 from hatn_sim.envs.errors import EpisodeOverError, NeedsResetError, OptionError, RenderError
 from hatn_sim.envs.features import observation_space, observation_table
-from hatn_sim.envs.mind import conclude, glance, open_mind, predictor_of
+from hatn_sim.envs.mind import conclude, open_mind, predictor_of
 from hatn_sim.envs.observation import (
     Observation,
 )
@@ -25,6 +26,7 @@ from hatn_sim.envs.shown import info_of, observation_of, slots_now
 from hatn_sim.envs.traffic import check_scene, ego_of, scenario_of, warm_up_s
 from hatn_sim.envs.turns import Turn, taken
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
+from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.traffic import open_traffic
 
@@ -90,6 +92,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         self._predictor = predictor_of(self.options.predictor)
         self._simulator = open_traffic(self.scenario)
         self._episode: Episode | None = None
+        self._on_this_road: Sequence[SceneEnv] = (self,)
         self._view: View | None = None
 
     # -- gymnasium ------------------------------------------------------------------------------
@@ -124,17 +127,15 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             np.random.default_rng(number),  # so that the number alone repeats the episode
         )
         road = self._simulator.road
-        road.release(RELEASE_FRAMES, KEPT_LINES)
+        self._release_lines()
         mind = None
         if self._predictor is not None:
             lines = cast(LineSource, self.options.lines)
             advises = self.options.advice
             mind = open_mind(self._predictor, lines, ego_id, road, advises=advises)
-            for frame in frames[:-1]:
-                mind = glance(mind, frame)
         episode = Episode(ego_id, number, road, frames[-1], mind)
         episode.begin()
-        yield from self._think(episode)
+        yield from self._think(episode, frames)
         self._episode = episode
         observation = self._observation(episode)
         if self.render_mode == "human":
@@ -163,15 +164,15 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
             plans = {episode.ego_id: plan}
             come = driven(self._simulator, episode.frame, plans, count)
             yield None
+            frames: list[Frame] = []
             for frame in come():
-                if terms.time_s and episode.mind is not None:
-                    episode.mind = glance(episode.mind, episode.frame)
+                frames.append(frame)
                 terms += episode.advance(frame, self.options)
                 if episode.is_over:
                     break
-                if episode.frames % RELEASE_FRAMES == 0:
-                    self._simulator.road.release(RELEASE_FRAMES, KEPT_LINES)
-            yield from self._think(episode)
+            yield from self._think(episode, frames)
+            if episode.frames // RELEASE_FRAMES > (episode.frames - len(frames)) // RELEASE_FRAMES:
+                self._release_lines()
         except BaseException:
             self._episode = None  # nobody knows how far it got
             raise
@@ -204,6 +205,16 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         if view is not None:
             view.close()
 
+    def share_road(self, others: Sequence[SceneEnv]) -> None:
+        """Has lines drawn once for environments of one scene, this one among them.
+
+        So all of them can be seen at once. Without effect where SUMO does not drive.
+        """
+        first = others[0]._simulator
+        if isinstance(self._simulator, SumoSimulator) and isinstance(first, SumoSimulator):
+            self._simulator.share_road(first)
+            self._on_this_road = others
+
     def action_masks(self) -> BoolArray:
         """The slots [M] that may be chosen now, as sb3-contrib asks for them."""
         if not isinstance(self.action_space, Slots):
@@ -212,17 +223,24 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
 
     # -- what is shown of it ----------------------------------------------------------------------
 
-    def _think(self, episode: Episode) -> Turn[None]:
-        """Decides at the newest frame; the mask of actions is that of it."""
+    def _think(self, episode: Episode, frames: Sequence[Frame]) -> Turn[None]:
+        """Decides at the last of the frames since it last did; the mask of actions is its."""
         episode.thought = None
         if episode.mind is not None and episode.row is not None:
-            scene = episode.frame.scene
-            mind = glance(episode.mind, episode.frame)
-            prediction = yield mind, scene
-            assert prediction is not None
-            episode.mind, episode.thought = conclude(mind, scene, prediction)
+            foreseen = yield episode.mind, frames
+            assert foreseen is not None
+            mind, prediction = foreseen
+            episode.mind, episode.thought = conclude(mind, frames[-1].scene, prediction)
         if isinstance(self.action_space, Slots):
             self.action_space.admissible = slots_now(episode)
+
+    def _release_lines(self) -> None:
+        """Lets go of the reference lines that nobody on this road has been near for long."""
+        road = self._simulator.road
+        for env in self._on_this_road:
+            if env._episode is not None and env._episode.mind is not None:
+                road.touch(env._episode.mind.state.perception.line_state.line)
+        road.release(RELEASE_FRAMES, KEPT_LINES)
 
     def _observation(self, episode: Episode) -> Observation:
         space = cast(gymnasium.spaces.Dict, self.observation_space)

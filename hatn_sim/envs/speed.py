@@ -1,11 +1,18 @@
-"""How many simulator frames a second environments give, beside highway-env's in the same run."""
+"""How many simulator frames a second environments give, beside highway-env's in the same run.
+
+Like is held against like: highway-env's frames are driven twice, the same both times. The first
+time its vehicles are counted, and the demand of the scene is chosen so that in its environments,
+over the episodes that will be timed, there are as many at once. The second time counts.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from statistics import mean, median
 from typing import Any, Final
 
@@ -26,9 +33,16 @@ TOGETHER: Final = 8
 CHUNK_FRAMES: Final = 150
 """They take turns of about so many, so that whatever slows the machine down slows all of them."""
 RESETS: Final = 7
+SCALES: Final = (0.05, 6.0)
+"""Demands are looked for between these multiples of what route files say."""
+CLOSE: Final = 0.02
+"""Mean numbers of vehicles that differ by this share are the same."""
+TRIES: Final = 12
 
 Drive = Callable[[], tuple[int, float, Callable[[], object] | None]]
 """One step: frames simulated, vehicles at once, and what to do before the next, not timed."""
+Open = Callable[[ExitStack, float], Drive]
+"""Begins the episodes of a contender, with the demand of the scene multiplied so."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +50,12 @@ class EnvSpeed:
     """Frames of one kind of environment."""
 
     what: str
+    scale: float | None  # of the demand in the scene's route files; None: highway-env
     vehicles: float  # mean number at once, of each simulator
+    frame_s: float  # that passes in a frame
     frames_per_s: float
-    ratio: float  # to highway-env's
+    ratio: float  # to highway-env's frames
+    ratio_of_time: float  # the same of the time that passes in them
 
 
 @dataclass(frozen=True)
@@ -54,27 +71,33 @@ def measure_speeds(
     scenario: Scenario, predictor: Predictor, rounds: int, seed: int
 ) -> list[EnvSpeed]:
     """highway-env first, then environments of the scene: without prediction, with, side by side."""
-    plain: dict[str, Any] = {"scene": scenario, "predictor": None}
-    predicting: dict[str, Any] = {
-        "scene": scenario,
-        "predictor": predictor,
-        "masked_action": "yield",
+    plain: dict[str, Any] = {"predictor": None}
+    predicting: dict[str, Any] = {"predictor": predictor, "action": "acceleration"}
+    alone, several = (partial(kind, scenario, seed) for kind in (_alone, _several))
+    wanted = mean_vehicles(partial(_highway, seed=seed), 1.0, rounds)
+    # What is predicted changes nothing in the traffic, nor does how many frames make a step.
+    alone_scale, several_scale = (
+        scale_to_meet(partial(mean_vehicles, kind(plain), rounds=rounds), wanted)
+        for kind in (alone, several)
+    )
+    contenders: dict[str, tuple[float | None, Open]] = {
+        f"highway-env, {BESIDE}": (None, partial(_highway, seed=seed)),
+        "no prediction": (alone_scale, alone(plain)),
     }
-    bare: dict[str, Any] = {"advice": False, "action": "acceleration"}
+    for words, frames in (("each step", 5), ("each frame", 1)):
+        advised = predicting | {"frames_per_step": frames}
+        bare = advised | {"advice": False}
+        name = f"{predictor.name}, {words}"
+        contenders[f"{name}, advised"] = alone_scale, alone(advised)
+        contenders[name] = alone_scale, alone(bare)
+        contenders[f"{name}, {TOGETHER} side by side"] = several_scale, several(bare)
+    taken_s = dict.fromkeys(contenders, 0.0)
+    frames_of = dict.fromkeys(contenders, 0)
+    vehicles: dict[str, list[float]] = {name: [] for name in contenders}
     with ExitStack() as stack:
-        contenders: dict[str, Drive] = {f"highway-env, {BESIDE}": _highway(stack, seed)}
-        contenders["no prediction"] = _scene(stack, seed, plain)
-        for words, frames in (("each step", 5), ("each frame", 1)):
-            options = predicting | {"frames_per_step": frames}
-            name = f"{predictor.name}, {words}"
-            contenders[f"{name}, advised"] = _scene(stack, seed, options)
-            contenders[name] = _scene(stack, seed, options | bare)
-            contenders[f"{name}, {TOGETHER} side by side"] = _several(stack, seed, options | bare)
-        taken_s = dict.fromkeys(contenders, 0.0)
-        frames_of = dict.fromkeys(contenders, 0)
-        vehicles: dict[str, list[float]] = {name: [] for name in contenders}
+        drives = {name: begin(stack, scale or 1.0) for name, (scale, begin) in contenders.items()}
         for _ in range(rounds):
-            for name, drive in contenders.items():
+            for name, drive in drives.items():
                 until = frames_of[name] + CHUNK_FRAMES
                 while frames_of[name] < until:
                     start = time.perf_counter()
@@ -86,9 +109,48 @@ def measure_speeds(
                         prepare()
     per_s = {name: frames_of[name] / taken_s[name] for name in contenders}
     beside = next(iter(per_s.values()))
-    return [
-        EnvSpeed(name, mean(vehicles[name]), speed, speed / beside) for name, speed in per_s.items()
-    ]
+    beside_s = _highway_frame_s()
+    speeds: list[EnvSpeed] = []
+    for name, (scale, _) in contenders.items():
+        frame_s = beside_s if scale is None else DT_S
+        ratio = per_s[name] / beside
+        of_time = ratio * frame_s / beside_s
+        count = mean(vehicles[name])
+        speeds.append(EnvSpeed(name, scale, count, frame_s, per_s[name], ratio, of_time))
+    return speeds
+
+
+def mean_vehicles(begin: Open, scale: float, rounds: int) -> float:
+    """Vehicles at once over as many frames of a contender as will be timed."""
+    counts: list[float] = []
+    with ExitStack() as stack:
+        drive = begin(stack, scale)
+        for _ in range(rounds):
+            left = CHUNK_FRAMES
+            while left > 0:
+                frames, count, prepare = drive()
+                left -= frames
+                counts.append(count)
+                if prepare is not None:
+                    prepare()
+    return mean(counts)
+
+
+def scale_to_meet(vehicles_at: Callable[[float], float], wanted: float) -> float:
+    """The demand, of those tried, at which there are as many vehicles as wanted, or nearly so.
+
+    `vehicles_at` tells how many there are at a demand; it rises, if not at every step.
+    """
+    low, high = SCALES
+    found: dict[float, float] = {}
+    for _ in range(TRIES):
+        scale = math.sqrt(low * high)
+        count = vehicles_at(scale)
+        found[abs(count / wanted - 1.0)] = scale
+        if min(found) <= CLOSE:
+            break
+        low, high = (scale, high) if count < wanted else (low, scale)
+    return found[min(found)]
 
 
 def measure_resets(scenario: Scenario, predictor: Predictor, seed: int) -> list[ResetTime]:
@@ -116,7 +178,7 @@ def measure_resets(scenario: Scenario, predictor: Predictor, seed: int) -> list[
     return rows
 
 
-def _highway(stack: ExitStack, seed: int) -> Drive:
+def _highway(stack: ExitStack, _scale: float, *, seed: int) -> Drive:
     env: Any = gymnasium.make(f"highway_env:{BESIDE}").unwrapped
     stack.callback(env.close)
     env.reset(seed=seed)
@@ -130,32 +192,49 @@ def _highway(stack: ExitStack, seed: int) -> Drive:
     return drive
 
 
-def _scene(stack: ExitStack, seed: int, options: dict[str, Any]) -> Drive:
-    env = SceneEnv(**options)
-    stack.callback(env.close)
-    env.reset(seed=seed)
-    action: Any = np.zeros(1, np.float32) if env.options.action_form != "slot" else 0
-
-    def drive() -> tuple[int, float, Callable[[], object] | None]:
-        _, _, ends, is_cut, info = env.step(action)
-        count = len(info["seen"].scene.ids)
-        return env.options.frames_per_step, count, env.reset if ends or is_cut else None
-
-    return drive
+def _highway_frame_s() -> float:
+    env: Any = gymnasium.make(f"highway_env:{BESIDE}").unwrapped
+    env.close()
+    return 1.0 / float(env.config["simulation_frequency"])
 
 
-def _several(stack: ExitStack, seed: int, options: dict[str, Any]) -> Drive:
-    env = SceneVectorEnv(TOGETHER, autoreset_mode="Disabled", **options)
-    stack.callback(env.close)
-    env.reset(seed=seed)
-    actions = np.zeros((TOGETHER, 1), np.float32)
-    frames = TOGETHER * options["frames_per_step"]
+def _scaled(scenario: Scenario, scale: float) -> Scenario:
+    return replace(scenario, scale=scale, density=None)
 
-    def drive() -> tuple[int, float, Callable[[], object] | None]:
-        _, _, ends, cuts, info = env.step(actions)
-        over = ends | cuts
-        counts: Sequence[int] = [len(seen.scene.ids) for seen in info["seen"]]
-        begin_anew = (lambda: env.reset(options={"reset_mask": over})) if over.any() else None
-        return frames, mean(counts), begin_anew
 
-    return drive
+def _alone(scenario: Scenario, seed: int, options: dict[str, Any]) -> Open:
+    def begin(stack: ExitStack, scale: float) -> Drive:
+        env = SceneEnv(scene=_scaled(scenario, scale), **options)
+        stack.callback(env.close)
+        env.reset(seed=seed)
+        action = np.zeros(1, np.float32)
+
+        def drive() -> tuple[int, float, Callable[[], object] | None]:
+            _, _, ends, is_cut, info = env.step(action)
+            count = len(info["seen"].scene.ids)
+            return env.options.frames_per_step, count, env.reset if ends or is_cut else None
+
+        return drive
+
+    return begin
+
+
+def _several(scenario: Scenario, seed: int, options: dict[str, Any]) -> Open:
+    def begin(stack: ExitStack, scale: float) -> Drive:
+        scene = _scaled(scenario, scale)
+        env = SceneVectorEnv(TOGETHER, autoreset_mode="Disabled", scene=scene, **options)
+        stack.callback(env.close)
+        env.reset(seed=seed)
+        actions = np.zeros((TOGETHER, 1), np.float32)
+        frames = TOGETHER * options.get("frames_per_step", EnvOptions.frames_per_step)
+
+        def drive() -> tuple[int, float, Callable[[], object] | None]:
+            _, _, ends, cuts, info = env.step(actions)
+            over = ends | cuts
+            counts: Sequence[int] = [len(seen.scene.ids) for seen in info["seen"]]
+            begin_anew = (lambda: env.reset(options={"reset_mask": over})) if over.any() else None
+            return frames, mean(counts), begin_anew
+
+        return drive
+
+    return begin

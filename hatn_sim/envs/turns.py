@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from typing import TypeVar
 
-from hatn_sim.datatypes import Prediction
-from hatn_sim.envs.mind import Asked, foresee_all
+from hatn_sim.envs.mind import Asked, Foreseen, foresee_all
 
 Result = TypeVar("Result")
-Turn = Generator[Asked | None, Prediction | None, Result]
+Turn = Generator[Asked | None, Foreseen | None, Result]
 """A part of an episode, up to its result.
 
 It gives way (None) where it has checked what it was told and nothing has happened yet, and where
@@ -23,14 +22,14 @@ def taken(turns: Sequence[Turn[Result]]) -> list[Result]:
     Where one fails the others go no farther either.
     """
     results: dict[int, Result] = {}
-    answers: dict[int, Prediction | None] = dict.fromkeys(range(len(turns)))
+    answers: dict[int, Foreseen | None] = dict.fromkeys(range(len(turns)))
     try:
         while answers:
             asked: dict[int, Asked] = {}
-            for k, prediction in list(answers.items()):
+            for k, foreseen in list(answers.items()):
                 answers[k] = None
                 try:
-                    wanted = turns[k].send(prediction)
+                    wanted = turns[k].send(foreseen)
                 except StopIteration as done:
                     results[k] = done.value
                     del answers[k]

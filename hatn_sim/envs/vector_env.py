@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import iterate
 
 from hatn_sim.envs.errors import ActionError, ActionShapeError, ActionTypeError, OptionError
-from hatn_sim.envs.mind import predictor_of
+from hatn_sim.envs.mind import BatchPredictor, predictor_of
 from hatn_sim.envs.options import EnvOptions
 from hatn_sim.envs.scene_env import SceneEnv
 from hatn_sim.envs.turns import Turn, taken
@@ -40,6 +40,10 @@ class SceneVectorEnv(SyncVectorEnv):
         predictor = predictor_of(options.get("predictor", EnvOptions.predictor))
         make = partial(SceneEnv, **options | {"predictor": predictor})
         super().__init__([lambda: _Ahead(make())] * num_envs, autoreset_mode=autoreset_mode)
+        if isinstance(predictor, BatchPredictor):
+            scene_envs = [env.scene_env for env in cast(list[_Ahead], self.envs)]
+            for env in scene_envs:
+                env.share_road(scene_envs)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """As of `SyncVectorEnv`. Raises as `SceneEnv.step` does."""

@@ -19,7 +19,7 @@ from hatn_sim.hatn.edn_kinematic import (
     MAX_SLOPE,
     MAX_SWERVE_PER_M,
 )
-from hatn_sim.hatn.gru_columns import Cell, LastState, gates
+from hatn_sim.hatn.gru_columns import Cell, LastState, gates, reading_halves
 from hatn_sim.hatn.kinematics import path_along, positions, present_motion
 
 _MOTION = 5
@@ -51,10 +51,11 @@ class ColumnDecoder(nn.Module):
             *(of["decoder.weight_ih"] @ of_rows.T, of["decoder.bias_ih"]),
             *(of["decoder.weight_hh"], of["decoder.bias_hh"]),
         )
-        self.dense1, self.dense2, self.dense3 = (
-            torch.cat((of[f"{name}.weight"], of[f"{name}.bias"][:, None]), 1)
+        dense1, dense2, dense3 = (
+            _of_block(of[f"{name}.weight"], of[f"{name}.bias"])
             for name in ("dense1", "dense2", "dense3")
         )
+        self.dense1, self.dense2, self.dense3 = 2.0 * dense1, 2.0 * dense2, dense3
 
     def forward(
         self,
@@ -74,14 +75,16 @@ class ColumnDecoder(nn.Module):
         now, blend_m = edn_kinematic.corrected(now, self.start(hidden.T))
         last = None
         if weight is not None and bias is not None:
-            last = torch.cat((weight, bias.unsqueeze(-1)), -1).permute(1, 2, 0).contiguous()
-        way_m = self._driven(hidden, now.increment_m, now.acceleration_mps2, goal_m, last)
+            last = _of_block(weight.flatten(0, 1), bias.flatten())
+            last = last.unflatten(0, bias.shape).permute(1, 2, 0).contiguous()
+        half = 0.5 * (hidden + 1.0)
+        way_m = self._driven(half, now.increment_m, now.acceleration_mps2, goal_m, last)
         path = path_along(line, now.course_rad, now.curvature_per_m, blend_m)
         return positions(path, way_m[:, 1].T, way_m[:, 0].T)
 
     def _driven(
         self,
-        hidden: Tensor,
+        half: Tensor,
         increment: Tensor,
         acceleration: Tensor,
         goal_m: Tensor,
@@ -89,26 +92,27 @@ class ColumnDecoder(nn.Module):
     ) -> Tensor:
         """Offset and progress [HORIZON_FRAMES, 2, B] in metres, as `EncoderDecoderNetwork` drives.
 
-        `last` [O, H + 1, B]: weights and biases of the vehicles' own last layers.
+        `half` [H, B] is of the hidden state, see `gru_columns.py`. `last` [O, H + 1, B]: weights
+        and biases of the vehicles' own last layers.
         """
-        width, told = hidden.shape[0], _told(goal_m)
-        ones, still = torch.ones_like(hidden[:1]), torch.zeros_like(told[0, :1])
+        width, told = half.shape[0], _told(goal_m)
+        ones, still = torch.ones_like(half[:1]), torch.zeros_like(told[0, :1])
         rows = (ones, increment[None], acceleration[None], still, still, still, told[0], goal_m.T)
-        block = torch.cat((hidden, *rows))
+        block = torch.cat((half, *rows))
         cell, state = Cell(self.decode, block), block[: width + 1]
-        deep1, deep2 = torch.cat((hidden, ones)), torch.cat((hidden, ones))
+        deep1, deep2 = torch.cat((half, ones)), torch.cat((half, ones))
         out1, out2 = deep1[:width], deep2[:width]
-        emitted = hidden.new_empty((self.dense3.shape[0], hidden.shape[1]))
+        emitted = half.new_empty((self.dense3.shape[0], half.shape[1]))
         jerk, swerve = emitted.unbind(0)
         motion = block[width + 1 : width + 1 + _MOTION]
         increment, acceleration, slope, offset, progress = motion.unbind(0)
         now_told = block[width + 1 + _MOTION : width + 1 + _MOTION + _TOLD]
-        way_m = hidden.new_empty((HORIZON_FRAMES, 2, hidden.shape[1]))
+        way_m = half.new_empty((HORIZON_FRAMES, 2, half.shape[1]))
         for told_of_step, way_of_step in zip(told.unbind(0), way_m.unbind(0), strict=True):
             now_told.copy_(told_of_step)
             cell.step()
-            torch.mm(self.dense1, state, out=out1).tanh_()
-            torch.mm(self.dense2, deep1, out=out2).tanh_()
+            torch.mm(self.dense1, state, out=out1).sigmoid_()
+            torch.mm(self.dense2, deep1, out=out2).sigmoid_()
             if last is None:
                 torch.mm(self.dense3, deep2, out=emitted).tanh_()
             else:
@@ -122,6 +126,11 @@ class ColumnDecoder(nn.Module):
             progress.add_(increment)
             way_of_step.copy_(motion[-2:])
         return way_m
+
+
+def _of_block(weight: Tensor, bias: Tensor) -> Tensor:
+    """Weights [O, H + 1] of a layer for a block of halves and ones."""
+    return reading_halves(torch.cat((weight, bias[:, None]), 1), weight.shape[1])
 
 
 def _read_of_rows(settings: EdnSettings) -> Tensor:

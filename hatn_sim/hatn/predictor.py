@@ -25,11 +25,25 @@ from hatn_sim.hatn.inputs import VehicleInputs, to_map_frame, vehicle_inputs
 from hatn_sim.hatn.modes import modes_of
 from hatn_sim.hatn.sgn import GraphBatch, Intention, Repeats
 from hatn_sim.hatn.sgn_program import frozen_sgn
-from hatn_sim.hatn.together import batches_joined, inputs_joined, parts, repeats_joined, rows_of
+from hatn_sim.hatn.together import (
+    batches_joined,
+    inputs_joined,
+    predictions_of_each,
+    repeats_joined,
+    rows_of,
+)
 from hatn_sim.hatn.weights_io import Weights, load_weights
-from hatn_sim.perception import Perception, PerceptionState, begin, perceive
+from hatn_sim.perception import (
+    Perception,
+    PerceptionState,
+    begin,
+    perceive,
+    perceive_all,
+    perceptions_joined,
+)
 from hatn_sim.predictors.free_motion import fallback_motion
 from hatn_sim.road import Road
+from hatn_sim.worlds import Worlds, parts
 
 Told = tuple[Intention, FloatArray, FloatArray]
 """What the networks say of vehicles [E]: the intention, and what `Hatn.drive` gives."""
@@ -56,11 +70,28 @@ class Hatn:
     ) -> PerceptionState:
         return perceive(state, scene, routes)
 
+    def observe_all(
+        self,
+        states: Sequence[PerceptionState],
+        scenes: Sequence[Scene],
+        routes: Sequence[tuple[Route | None, ...]] | None = None,
+    ) -> list[PerceptionState]:
+        """What `observe` gives of each: in one go where all are on one road."""
+        if len(states) > 1 and _share_road(states):
+            return perceive_all(states, scenes, routes)
+        known = [None] * len(states) if routes is None else routes
+        return [self.observe(*one) for one in zip(states, scenes, known, strict=True)]
+
     def predict(self, state: PerceptionState) -> Prediction:
         return self.predict_graphs(state, build_graphs(state.road, state.seen))
 
     def predict_all(self, states: Sequence[PerceptionState]) -> list[Prediction]:
-        """What `predict` says of each, but for rounding: each network is asked once for all."""
+        """What `predict` says of each, but for rounding: each network is asked once for all.
+
+        Where all are on one road, graphs are built of all at once, too.
+        """
+        if len(states) > 1 and _share_road(states):
+            return self._of_worlds([state.seen for state in states])
         graphs = [build_graphs(state.road, state.seen) for state in states]
         told: list[Told | None] = [None] * len(states)
         some = [k for k, own in enumerate(graphs) if len(own.ego)]
@@ -72,6 +103,16 @@ class Hatn:
             self._prediction(state.seen, own, one)
             for state, own, one in zip(states, graphs, told, strict=True)
         ]
+
+    def _of_worlds(self, every: Sequence[Perception]) -> list[Prediction]:
+        seen = perceptions_joined(every)
+        graphs, told = build_graphs(seen.road, seen), None
+        if len(graphs.ego):
+            intention = self.intend(graphs)
+            told = (intention, *self._drive_seen(seen, graphs.ego, intention))
+        whole = self._prediction(seen, graphs, told)
+        assert isinstance(seen.scene, Worlds)
+        return predictions_of_each(whole, graphs, seen.scene, [one.lines for one in every])
 
     @torch.inference_mode()
     def _tell(self, moments: Sequence[tuple[PerceptionState, SemanticGraphs]]) -> list[Told]:
@@ -151,15 +192,19 @@ class Hatn:
         """What the SGN says of all graphs; there must be one."""
         return self._relate(graph_batch(graphs), repeats_of(graphs))
 
-    @torch.inference_mode()
     def drive(
         self, state: PerceptionState, vehicle: IntArray, intention: Intention
     ) -> tuple[FloatArray, FloatArray]:
         """What the EDN makes of the intention of vehicles [E]: positions [E, K, F, 2] in the map,
         and the probability [E, K] of each mode; where that is 0, the first mode stands again.
         """
-        scene = state.seen.scene
-        inputs = vehicle_inputs(state.road, state.seen, vehicle)
+        return self._drive_seen(state.seen, vehicle, intention)
+
+    @torch.inference_mode()
+    def _drive_seen(
+        self, seen: Perception, vehicle: IntArray, intention: Intention
+    ) -> tuple[FloatArray, FloatArray]:
+        inputs, scene = vehicle_inputs(seen.road, seen, vehicle), seen.scene
         return self._driven(inputs, scene.xy_m[vehicle], scene.yaw_rad[vehicle], intention)
 
     def _driven(
@@ -175,6 +220,12 @@ class Hatn:
         future = first[:, None].repeat(probability.shape[1], axis=1)
         future[row, mode] = own
         return to_map_frame(future, xy_m, yaw_rad), probability
+
+
+def _share_road(states: Sequence[PerceptionState]) -> bool:
+    """Whether several can be seen as one: on one road, their lines chosen alike."""
+    first = states[0]
+    return all(one.road is first.road and one.choice is first.choice for one in states)
 
 
 def told_goal_m(network: EncoderDecoderNetwork, profile_m: Tensor) -> Tensor:

@@ -81,6 +81,7 @@ class SumoSimulator:
         self._worker: SumoWorker | None = None
         self._lanes: list[Lane] | None = None
         self._road: Road | None = None
+        self._road_of = self
         self._routes: list[Route] = []
         self._seed = 0
         self._time_s = 0.0
@@ -108,11 +109,18 @@ class SumoSimulator:
     @property
     def road(self) -> Road:
         """The road of the net. Asked for before the first `reset`, it takes a start of SUMO."""
+        if self._road_of is not self:
+            self._road_of._lanes = self._road_of._lanes or self.lanes
+            return self._road_of.road
         if self._road is None:
             from hatn_sim.road import Road
 
             self._road = Road(self.lanes)
         return self._road
+
+    def share_road(self, other: SumoSimulator) -> None:
+        """From now on its road is that of another simulator of the same scene."""
+        self._road_of = other
 
     @property
     def worker_pid(self) -> int | None:

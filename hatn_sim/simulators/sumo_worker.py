@@ -1,26 +1,19 @@
 """The process in which SUMO lives: `python -m hatn_sim.simulators.sumo_worker`.
 
-It imports libsumo, NumPy and our types, nothing heavy, and talks with `sumo_process.py` in pickles
-over its standard input and output. The first messages it reads are `Surroundings` and SUMO's
-options; it answers with `Started`, or with `Refused` where SUMO does not take them. Every further
-message is a list of commands for one step, (vehicle, acceleration in m/s²), answered with a
-`RawFrame`, or `Failed`; `Advance` asks for several steps at once, for the pipe takes longer than
-many a step.
-`AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no time passes; nor does it
-for `Spawn`, `AwaitBranch` and `StartBranches`, which forks children that drive on by themselves.
-It leaves when its input closes. SUMO's own words go to standard error, which the parent keeps.
+It imports libsumo, NumPy and our types, nothing heavy. How it is asked, and what it says where SUMO
+gives up, is `sumo_serving.py`. A message is a list of commands for one step, (vehicle, acceleration
+in m/s²), answered with a `RawFrame`; `Advance` asks for several steps at once, for the pipe takes
+longer than many a step. `AskFoes` and `AskLaneFoes` are answered with what SUMO knows now, and no
+time passes; nor does it for `Spawn`, `AwaitBranch` and `StartBranches`, which forks children that
+drive on by themselves.
 """
 
 from __future__ import annotations
 
-import os
-import pickle
-import signal
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import libsumo
 import numpy as np
@@ -29,7 +22,7 @@ from hatn_sim.datatypes import Kind
 from hatn_sim.simulators.sumo_branch import Branches
 from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lane_table import read_lane_table
-from hatn_sim.simulators.sumo_lanes import CLOSED_SIGNALS, KIND_OF_CLASS, LaneTable
+from hatn_sim.simulators.sumo_lanes import CLOSED_SIGNALS, KIND_OF_CLASS
 from hatn_sim.simulators.sumo_messages import (
     Advance,
     Advanced,
@@ -39,19 +32,13 @@ from hatn_sim.simulators.sumo_messages import (
     BranchEnded,
     BranchesStarted,
     Drawn,
-    Failed,
     JunctionFoes,
     LaneFoes,
-    Leave,
     Picture,
     RawFrame,
-    Refused,
     Spawn,
     Spawned,
     StartBranches,
-    Started,
-    Surroundings,
-    WindowClosed,
 )
 from hatn_sim.simulators.sumo_reading import Read, Row, frames_of
 from hatn_sim.simulators.sumo_routes import LaneGraph, RouteTracker
@@ -61,6 +48,7 @@ from hatn_sim.simulators.sumo_rows import (
     OWN_SPEED_MODE,
     ROUNDING_MPS,
 )
+from hatn_sim.simulators.sumo_serving import serve
 from hatn_sim.simulators.sumo_window import START, SUMO_DEFAULT_COLOUR, Canvas
 
 PEDESTRIAN_PREFIX = "person:"
@@ -346,81 +334,9 @@ def _gap_to_lane_end_m(vehicle: str) -> float:
     return length_m - position_m
 
 
-class Served(Protocol):
-    """A simulation that a worker process keeps and asks step by step."""
-
-    @property
-    def lane_table(self) -> LaneTable: ...
-
-    def observe(self) -> RawFrame: ...
-
-    @property
-    def cannot_branch(self) -> str | None: ...
-
-    def answer(self, message: Any) -> object: ...
-
-    def close(self) -> None: ...
-
-
-def serve(start: Callable[[Sequence[str]], Served]) -> None:
-    """Serves one simulation over the pipes, until they close."""
-    # Ctrl-C reaches the whole process group; whoever runs us decides when to end.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    requests = sys.stdin.buffer
-    with os.fdopen(os.dup(1), "wb") as replies:
-        silence = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silence, 1)  # SUMO prints there too; only our messages may enter the pipe
-        try:
-            _serve(start, requests, replies)
-        except (EOFError, BrokenPipeError):
-            return  # nobody is listening any more
-
-
-def _serve(start: Callable[[Sequence[str]], Served], requests: Any, replies: Any) -> None:
-    def reply(message: object) -> None:
-        pickle.dump(message, replies, protocol=5)
-        replies.flush()
-
-    surroundings: Surroundings = pickle.load(requests)
-    if surroundings.folder:
-        os.chdir(surroundings.folder)
-    os.environ.clear()
-    os.environ.update(surroundings.variables)
-    options = pickle.load(requests)
-    try:
-        simulation = start(options)
-    except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
-        reply(Refused(str(error)))
-        return
-    try:
-        first = simulation.observe()
-        reply(Started(simulation.lane_table, first, simulation.cannot_branch))
-        while True:
-            message = pickle.load(requests)
-            if isinstance(message, Leave):
-                return
-            try:
-                answer = simulation.answer(message)
-            except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
-                reply(Failed(str(error)) if _has_net() else WindowClosed())
-                return
-            reply(answer)
-    finally:
-        simulation.close()
-
-
-def _has_net() -> bool:
-    """Whether there is a simulation still: with its window, the user closes that, too."""
-    try:
-        libsumo.simulation.getTime()
-    except (libsumo.TraCIException, libsumo.FatalTraCIError):
-        return False
-    return True
-
-
 def main() -> None:
     """The life of a worker."""
-    serve(Simulation)
+    serve(Simulation, libsumo)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,8 @@ import numpy as np
 from hatn_sim.datatypes import Route
 from hatn_sim.simulators.sumo_lanes import LaneTable, is_connection
 from hatn_sim.simulators.sumo_messages import Newcomer, RawFrame, ReplayFrame, ReplayStep
-from hatn_sim.simulators.sumo_worker import Simulation, serve
+from hatn_sim.simulators.sumo_serving import serve
+from hatn_sim.simulators.sumo_worker import Simulation
 
 MOVE_ANYWHERE: Final = 2
 """keepRoute: exactly there, whatever edge and whether or not there is one."""
@@ -156,7 +157,7 @@ def _release(name: str, edges: Route) -> bool:
 
 def main() -> None:
     """The life of a worker."""
-    serve(ReplaySimulation)
+    serve(ReplaySimulation, libsumo)
 
 
 if __name__ == "__main__":
