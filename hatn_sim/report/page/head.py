@@ -93,8 +93,6 @@ def alerts_of(run: Run) -> list[dict[str, Any]]:
 def events_of(run: Run) -> list[dict[str, Any]]:
     """What really went wrong: T1, T2 and T3, by start."""
     driven = driven_in(run)
-    if not len(driven.frame):
-        return []
     number = {name: index for index, name in enumerate(run.ids)}
     found: list[SafetyEvent] = [*severe_events(driven), *close_passes(driven)]
     return [
