@@ -29,7 +29,7 @@ function readOnlyHook(app) {
       return {
         time_s: app.timeOf(app.frame), ego: app.ego >= 0 ? head.vehicles[app.ego].id : null,
         playing: app.playing, speed: app.speed, following: app.following, drawn: app.drawn || 0,
-        said: view?.advice?.text ?? null, alerts: (view?.alerts ?? []).map((alert) => ({ ...alert })),
+        said: document.getElementById('said').textContent || null, alerts: (view?.alerts ?? []).map((alert) => ({ ...alert })),
         moments: app.moments.map((moment) => ({ ...moment })), scale: app.camera.scale,
       };
     },

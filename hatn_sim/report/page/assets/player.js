@@ -22,7 +22,7 @@ function makeApp(head) {
 // An alert about the ego goes before its advice.
 function showSaid(app, view) {
   const alert = view.alerts.find(({ ego, other }) => ego === app.ego || other === app.ego);
-  const words = alert ? alert.text : view.advice ? view.advice.text : '';
+  const words = alert ? alert.text : view.advice ? countedDown(view.advice.text, view.time - app.timeOf(view.advice.frame)) : '';
   const place = byId('said');
   if (place.textContent !== words) place.textContent = words;
   place.classList.toggle('alarmed', alert !== undefined);
@@ -111,6 +111,7 @@ function start() {
   };
 
   const timeline = timelineOf(app, jump);
+  const showPanel = makePanel(app);
   const link = () => {
     const ego = app.ego >= 0 ? `&ego=${encodeURIComponent(head.vehicles[app.ego].id)}` : '';
     return `#t=${app.timeOf(app.frame).toFixed(1)}${ego}`;
@@ -131,7 +132,7 @@ function start() {
     if (coming || wanted === undefined) return;
     coming = setTimeout(() => {
       coming = 0;
-      if (app.store.now(wanted)) redraw();
+      if (app.store.now(wanted) || document.readyState === 'loading') redraw();
     });
   };
   const show = (now) => {
@@ -147,8 +148,9 @@ function start() {
     timeline.draw(view.time);
     if (now - panelAt > 150 || panelAt === 0) {
       panelAt = now;
-      drawPanel(app, view);
+      showPanel(view);
       showSaid(app, view);
+      markMoment(view);
     } else dirty = true;
     // Browsers slow down pages that change their address often.
     if (now - linkAt > 400 && !app.playing && link() !== location.hash) {
@@ -170,10 +172,10 @@ function start() {
   };
 
   fillIn(app);
-  makeMoments(app, jump);
+  const markMoment = makeMoments(app, jump);
   makeScores(app);
   makeSettings(app);
-  makeLegend();
+  makeLegend(app);
   bindPointer(canvas, app, redraw, () => follow(false));
   const actions = {
     back: () => step(-1), forth: () => step(1), play: () => (app.playing ? pause() : play()),
@@ -207,7 +209,7 @@ function start() {
   new ResizeObserver(() => {
     const unseen = app.camera.width < 2;
     app.camera.resize();
-    if (unseen) app.camera.fit(app.paths.bounds || boundsOf(app));
+    if (unseen) { app.camera.fit(app.paths.bounds || boundsOf(app)); centring = app.ego; }
     show(performance.now());
   }).observe(canvas);
   requestAnimationFrame((now) => { before = now; tick(now); });

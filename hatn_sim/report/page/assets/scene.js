@@ -40,7 +40,7 @@ function between(state, next, part) {
 function drawScene(ctx, app, view) {
   const { camera, look } = app;
   app.ground(ctx, camera, look);
-  drawSignals(ctx, app.paths, view.closed, look);
+  drawSignals(ctx, camera, app.paths, view.closed, look);
   if (camera.scale >= 1.2) {
     drawSlots(ctx, app, view);
     drawForecasts(ctx, app, view);
