@@ -33,6 +33,8 @@ function readOnlyHook(app) {
         moments: app.moments.map((moment) => ({ ...moment })), scale: app.camera.scale,
       };
     },
+    // Of the ego around now: [seconds from now, m/s], as in the panel's chart.
+    speeds() { return speedsAround(app, viewOf(app)); },
     pixel(xM, yM) { return app.camera.toScreen(xM - originX, yM - originY); },
   });
 }
