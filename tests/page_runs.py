@@ -62,9 +62,13 @@ def scene_at(frame: int, names: Sequence[str]) -> Scene:
 
 
 def made_up_run(
-    out: Path, frames: int = FRAMES, names: Sequence[str] = NAMES, finished: bool = True
+    out: Path,
+    frames: int = FRAMES,
+    names: Sequence[str] = NAMES,
+    finished: bool = True,
+    words: str = "Pass before northbound",
 ) -> Path:
-    """Write the log of such a run; returns its folder."""
+    """Write the log of such a run, in which the first is told `words`; returns its folder."""
     command = f"hatn-sim run crossing --drive '{names[0] if names else ''}'"
     head = {"scene": "crossing", "title": " ".join(names) or "empty", "command": command}
     writer = RunWriter(out, head | {"settings": {"lines": "inferred", "drive": list(names)}})
@@ -91,7 +95,7 @@ def made_up_run(
         )
         crash = ((names[0], names[1]),) if names and frame == COLLISION_FRAME else ()
         truth = Truth((None,) * len(names), collisions=crash)
-        advice = Advice(prediction, *_told(frame, scene, names))
+        advice = Advice(prediction, *_told(frame, scene, names, words))
         writer.write(frame, Frame(scene, truth, False), {"made_up": advice})
     writer.close(finished=finished)
     write_road(out / ROAD_FILE, CROSSING)
@@ -104,13 +108,13 @@ def hostile_run(out: Path) -> Path:
 
 
 def _told(
-    frame: int, scene: Scene, names: Sequence[str]
+    frame: int, scene: Scene, names: Sequence[str], words: str
 ) -> tuple[tuple[Suggestion, ...], tuple[Alert, ...]]:
     if not names:
         return (), ()
     said = Suggestion(
         names[0], scene.time_s, "pass", names[1], 0.8, 0.6, None, SPEED_MPS, True,
-        f"Pass before {names[1]}", (SPEED_MPS,), "likely",
+        words, (SPEED_MPS,) * 50, "likely",
     )  # fmt: skip
     edges = {ALERT_FRAMES[0]: ("onset",), ALERT_FRAMES[1]: ("peak", "end")}.get(frame, ())
     alerts = tuple(

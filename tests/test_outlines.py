@@ -107,6 +107,13 @@ def test_who_never_comes_to_one_place_has_no_encroachment_time() -> None:
     assert not len(encroachments(vehicle, late, boxes, longest_s=5.0).first)
 
 
+@pytest.mark.parametrize("rows", [0, 1])
+def test_nobody_and_one_alone_have_no_encroachment_time(rows: int) -> None:
+    here = np.arange(rows)
+    boxes = Boxes(np.zeros((rows, 2)), np.zeros(rows), np.tile(SIZE, (rows, 1)))
+    assert not len(encroachments(here, here, boxes).pet_s)
+
+
 @pytest.mark.parametrize(("scene", "frames"), [("intersection5", 800), ("roundabout8", 1500)])
 def test_encroachment_is_negative_for_the_pairs_that_sumo_says_touch(
     scene: str, frames: int

@@ -152,6 +152,19 @@ def test_an_empty_or_unfinished_run_has_a_page(tmp_path: Path, frames: int) -> N
     assert (head["finished"], head["frames"], head["vehicles"]) == (False, frames, [])
 
 
+@pytest.mark.slow
+def test_a_crowd_takes_a_quarter_of_the_room_that_it_may(tmp_path: Path) -> None:
+    """60 vehicles for 120 s, all predicted, have to go into 12 MB: 166 bytes for each at each
+    frame. A real crowd, so that nothing is easier to pack than it will be."""
+    out = tmp_path / "run"
+    asked = ["--density", "dense", "--duration", "30", "--no-picture", "--quiet"]
+    assert main(["run", "roundabout8", *asked, "--out", str(out)]) == 0
+    predicted = len(read_run(out).predicted("hatn")[0])
+    size = (out / PAGE_FILE).stat().st_size
+    print(f"{size:,} bytes, {size / predicted:.0f} for each vehicle at each frame")
+    assert size / predicted < 40.0
+
+
 def test_report_writes_the_page(crossing: Path, tmp_path: Path) -> None:
     assert main(["report", str(crossing), "--no-animation", "--out", str(tmp_path)]) == 0
     assert (tmp_path / PAGE_FILE).is_file() and (tmp_path / "moment.png").is_file()

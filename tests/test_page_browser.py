@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from page_runs import ALERT_FRAMES, COLLISION_FRAME, FIRST_S, HOSTILE, hostile_run, made_up_run
+from page_runs import (
+    ALERT_FRAMES,
+    COLLISION_FRAME,
+    FIRST_S,
+    HOSTILE,
+    NAMES,
+    hostile_run,
+    made_up_run,
+)
 
 from hatn_sim.datatypes import DT_S
 from hatn_sim.log import read_run
@@ -193,6 +201,75 @@ def test_names_from_a_file_are_only_ever_text(browser: Any, tmp_path: Path) -> N
     assert browser.find_element("css selector", "#panel h2").text.startswith('"><svg onload')
     assert browser.find_elements("css selector", "img, svg, iframe, object, link") == []
     assert browser.get_log("browser") == []
+
+
+def test_the_first_picture_is_there_when_the_page_is_loaded(browser: Any, run_folder: Path) -> None:
+    """Who takes a screenshot of a page takes it then."""
+    opened(browser, run_folder)
+    drawn_ms, loaded_ms = browser.execute_script(
+        "return [performance.getEntriesByName('first picture')[0].startTime,"
+        " performance.getEntriesByType('navigation')[0].loadEventStart]"
+    )
+    assert 0.0 < drawn_ms < loaded_ms
+
+
+def test_a_map_of_another_size_is_never_seen_empty(browser: Any, run_folder: Path) -> None:
+    """What is on the canvas when the browser paints: after those who watch its size were told."""
+    opened(browser, run_folder)
+    script = """
+        const told = arguments[0], canvas = document.getElementById('map');
+        let first = true;
+        new ResizeObserver(() => {
+          if (first) { first = false; canvas.style.height = '311px'; return; }
+          const [, , , alpha] = canvas.getContext('2d').getImageData(5, 5, 1, 1).data;
+          told([canvas.height, alpha]);
+        }).observe(canvas);
+    """
+    assert browser.execute_async_script(script) == [320, 255]  # the least height that it takes
+
+
+def test_times_in_words_count_down(browser: Any, tmp_path: Path) -> None:
+    words = "Yield to the red car; go after it in 4.8 s"
+    folder = made_up_run(tmp_path / "run", names=NAMES, words=words)
+    write_page(read_run(folder), folder, (0, NAMES[0]))
+    assert opened(browser, folder)["said"] == words
+    for seconds, expected in ((2.0, "in 2.8 s"), (4.7, "in 0.1 s"), (6.0, "now")):
+        link = f"#t={FIRST_S + seconds}&ego={NAMES[0]}"
+        assert opened(browser, folder, link)["said"] == words.replace("in 4.8 s", expected)
+        assert f"said {seconds} s ago" in browser.find_element("id", "panel").text
+
+
+@pytest.mark.parametrize(
+    ("link", "told"),
+    [
+        ("#t=102.0&ego=nobody", ["\u201cnobody\u201d", "not in this run"]),
+        ("#t=999&ego=eastbound", ["999 s", "from 100.0 s to 114.9 s"]),
+        ("#t=noon", ["\u201cnoon\u201d", "expected seconds from 100.0 to 114.9"]),
+    ],
+)
+def test_a_link_that_cannot_be_followed_says_so(
+    browser: Any, run_folder: Path, link: str, told: list[str]
+) -> None:
+    now = opened(browser, run_folder, link)
+    notice = browser.find_element("id", "notice")
+    assert notice.is_displayed() and all(words in notice.text for words in told)
+    assert now["ego"] != "northbound" and FIRST_S <= now["time_s"] <= FIRST_S + 14.9
+    browser.execute_script("location.hash = '#t=103.0&ego=northbound'")
+    waited(browser, lambda now: now["ego"] == "northbound")
+    assert not notice.is_displayed()
+
+
+def test_speeds_of_the_ego_are_those_of_the_log(browser: Any, run_folder: Path) -> None:
+    """Both drive at 8 m/s, as is predicted and advised; the second mode is half as fast."""
+    opened(browser, run_folder, f"#t={FIRST_S + 6.0}&ego=eastbound")
+    shown = browser.execute_script("return window.hatn.speeds()")
+    assert {round(speed, 2) for _, speed in shown["driven"]} == {8.0}
+    assert (shown["driven"][0][0], shown["driven"][-1][0]) == pytest.approx((-5.0, 5.0))
+    fast, slow = ([speed for _, speed in mode["points"]] for mode in shown["predicted"])
+    assert fast == pytest.approx([8.0] * 6, abs=0.3) and slow == pytest.approx([4.0] * 6, abs=0.3)
+    # Said at the first frame, for 5 s.
+    assert [s for s, _ in shown["advised"]] == pytest.approx([0.5 * k - 6.0 for k in range(1, 11)])
+    assert {speed for _, speed in shown["advised"]} == {8.0}
 
 
 @pytest.mark.parametrize("frames", [1, 30])

@@ -83,12 +83,13 @@ def _places(vehicle: IntArray, frame: IntArray, boxes: Boxes) -> tuple[IntArray,
     """First and last row of every place: of rows that follow each other without motion."""
     moved = np.linalg.norm(np.diff(boxes.xy_m, axis=0), axis=1) > SAME_PLACE_M
     moved |= np.abs(np.diff(boxes.yaw_rad)) > SAME_PLACE_RAD
-    new = np.concatenate(([True], moved | (np.diff(vehicle) != 0) | (np.diff(frame) != 1)))
+    new = np.ones(len(vehicle), dtype=np.bool_)
+    new[1:] = moved | (np.diff(vehicle) != 0) | (np.diff(frame) != 1)
     row = np.arange(len(vehicle))
     since = row - np.maximum.accumulate(np.where(new, row, 0))
     new |= since % _LONGEST_STAY == 0
     start = np.flatnonzero(new)
-    return start, np.append(start[1:], len(vehicle)) - 1
+    return start, np.append(start, len(vehicle))[1:] - 1
 
 
 def _near(

@@ -17,6 +17,8 @@ from hatn_sim.score.close_passes import close_passes
 from hatn_sim.score.driven import driven_in
 from hatn_sim.score.events import severe_events
 
+SPEEDS_ADVISED: Final = slice(4, None, 5)
+"""Of an advised profile: its speeds after 0.5 s, 1 s ..., told in steps of 0.1 m/s."""
 HIDDEN: Final = ("ids_by",)
 """Settings of which nobody is told."""
 
@@ -58,6 +60,7 @@ def advice_of(run: Run) -> list[dict[str, Any]]:
                 "feasible": said.feasible,
                 "text": said.text,
                 "reason": said.reason,
+                "speeds": [round(10.0 * mps) for mps in said.profile_mps[SPEEDS_ADVISED]],
             }
         out.append(line)
     return out
@@ -93,8 +96,6 @@ def alerts_of(run: Run) -> list[dict[str, Any]]:
 def events_of(run: Run) -> list[dict[str, Any]]:
     """What really went wrong: T1, T2 and T3, by start."""
     driven = driven_in(run)
-    if not len(driven.frame):
-        return []
     number = {name: index for index, name in enumerate(run.ids)}
     found: list[SafetyEvent] = [*severe_events(driven), *close_passes(driven)]
     return [

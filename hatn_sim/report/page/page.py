@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -28,7 +29,10 @@ from hatn_sim.report.page.road import near_lanes, road_content
 from hatn_sim.whole_file import save_whole
 
 PAGE_FILE: Final = "report.html"
-SCRIPTS: Final = ("data", "map", "vehicles", "advice", "timeline", "tables", "input", "player")
+SCRIPTS: Final = (
+    *("inflate", "data", "map", "vehicles", "advice", "scene"),
+    *("timeline", "chart", "panel", "moments", "tables", "input", "hook", "player"),
+)
 """Of `assets/`, in the order in which they make one script."""
 
 
@@ -82,11 +86,12 @@ def page(run: Run, start: tuple[int, str] | None = None) -> str:
         f'<script type="text/plain" id="chunk-{number}">{packed(data)}</script>'
         for number, data in enumerate(chunks(run, origin_m, driven))
     ]
-    return assembled(packed_json(head), parts)
+    return assembled(packed_json(head), parts, frame // CHUNK_FRAMES)
 
 
-def assembled(head: str, chunks_html: list[str]) -> str:
-    """The page around packed data."""
+def assembled(head: str, chunks_html: Sequence[str], opens_at: int) -> str:
+    """The page around packed data; the chunk that it opens with stands before the script, so that
+    the first picture is drawn at once."""
     assets = files("hatn_sim.report.page") / "assets"
     style = (assets / "player.css").read_text(encoding="ascii")
     scripts = [(assets / f"{name}.js").read_text(encoding="ascii") for name in SCRIPTS]
@@ -100,8 +105,9 @@ def assembled(head: str, chunks_html: list[str]) -> str:
         ("POLICY", policy),
         ("STYLE", style),
         ("HEAD", head),
+        ("FIRST", "".join(chunks_html[opens_at : opens_at + 1])),
         ("SCRIPT", script),
-        ("CHUNKS", "\n".join(chunks_html)),
+        ("CHUNKS", "\n".join((*chunks_html[:opens_at], *chunks_html[opens_at + 1 :]))),
     ):
         html = html.replace(f"@@{mark}@@", content, 1)
     return html

@@ -43,6 +43,7 @@ def road_content(lanes: Sequence[Lane], origin_m: FloatArray) -> dict[str, Any]:
         "lanes": [
             {
                 "use": use_of(lane),
+                "joins": lane.is_connection,
                 "width_m": round(float(lane.width_m), 2),
                 "xy": _flat(lane.xy_m, origin_m),
             }

@@ -213,6 +213,10 @@ function drawLabels(ctx, app, view) {
     if (slot.own || slot.chance === null || !state) continue;
     label(state, percent(slot.chance), chanceColour(slot.chance), slot.chance > 0.55 ? '#10151a' : '#ffffff');
   }
+  for (const alert of view.alerts) {
+    const state = view.states.get(alert.ego);
+    if (state) label(state, '! alert', ALARM, '#ffffff');
+  }
   const pointed = view.states.get(app.pointed);
   if (pointed) {
     const { id } = app.head.vehicles[app.pointed];

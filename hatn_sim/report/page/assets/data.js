@@ -7,21 +7,19 @@ const WAY_POINTS = 6; // at 0.5 s ... 3 s
 const KEPT_CHUNKS = 12;
 const FLAG = { fallback: 1, adapted: 2, conflict: 4, predicted: 8 };
 
-async function inflated(base64) {
+function unpacked(base64) {
   const text = atob(base64);
   const bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate-raw'));
-  return new Response(stream).arrayBuffer();
+  return inflated(bytes);
 }
 
-async function unpackedJson(base64) {
-  return JSON.parse(new TextDecoder().decode(await inflated(base64)));
+function unpackedJson(base64) {
+  return JSON.parse(new TextDecoder().decode(unpacked(base64)));
 }
 
 // Zigzag varints -> a reader of columns.
-function columnsOf(buffer) {
-  const bytes = new Uint8Array(buffer);
+function columnsOf(bytes) {
   let at = 0;
   const next = () => {
     let value = 0, scale = 1, octet;
@@ -60,8 +58,8 @@ function everyNth(count, n) {
   return starts;
 }
 
-function decodeChunk(buffer) {
-  const read = columnsOf(buffer);
+function decodeChunk(bytes) {
+  const read = columnsOf(bytes);
   const frames = read.next(), stretches = read.next(), rows = read.next();
   const vehicle = read.column(stretches), first = read.column(stretches);
   const count = read.column(stretches);
@@ -127,37 +125,24 @@ function decodeSignals(read, frames) {
 // The run's chunks, decoded when needed; the least used are let go.
 function chunkStore(head) {
   const kept = new Map(); // number -> chunk, the last used last
-  const coming = new Map(); // number -> promise
-  async function load(number) {
-    let element = document.getElementById(`chunk-${number}`);
-    while (!element && document.readyState === 'loading') {
-      await new Promise((done) => setTimeout(done, 10));
-      element = document.getElementById(`chunk-${number}`);
-    }
-    // While the page arrives, the last element may not be whole yet.
-    while (document.readyState === 'loading' && !element.nextElementSibling) {
-      await new Promise((done) => setTimeout(done, 10));
-    }
-    const chunk = decodeChunk(await inflated(element.textContent));
-    kept.set(number, chunk);
-    coming.delete(number);
-    while (kept.size > KEPT_CHUNKS) kept.delete(kept.keys().next().value);
-    return chunk;
-  }
   const last = Math.ceil(head.frames / head.chunk_frames) - 1;
+  // While the page arrives, the last element may not be whole yet.
+  const arrived = (element) => element && (document.readyState !== 'loading' || element.nextElementSibling);
   return {
-    has: (number) => kept.has(number) || number > last,
+    // Undefined: it has not arrived, or there is none of this number.
     now(number) {
-      const chunk = kept.get(number);
-      if (chunk) { kept.delete(number); kept.set(number, chunk); }
+      let chunk = kept.get(number);
+      if (!chunk) {
+        const element = number >= 0 && number <= last && document.getElementById(`chunk-${number}`);
+        if (!arrived(element)) return undefined;
+        chunk = decodeChunk(unpacked(element.textContent));
+      }
+      kept.delete(number);
+      kept.set(number, chunk);
+      while (kept.size > KEPT_CHUNKS) kept.delete(kept.keys().next().value);
       return chunk;
     },
-    ask(number) {
-      if (number < 0 || number > last) return Promise.resolve(undefined);
-      if (kept.has(number)) return Promise.resolve(kept.get(number));
-      if (!coming.has(number)) coming.set(number, load(number));
-      return coming.get(number);
-    },
+    ready: (number) => number < 0 || number > last || kept.has(number),
   };
 }
 

@@ -17,7 +17,7 @@ const VIRIDIS = [
   [70, 23, 103], [68, 57, 131], [56, 88, 140], [44, 114, 142], [33, 145, 140],
   [40, 174, 128], [94, 201, 98], [173, 220, 48], [253, 231, 37],
 ];
-const ALARM = '#ff3b30', ADVICE = '#56b4e9', EVENT = '#e69f00';
+const ALARM = '#ff3b30';
 const LEAST_SCALE = 0.02, MOST_SCALE = 60; // CSS pixels per metre
 
 function chanceColour(chance, alpha = 1) {
@@ -92,8 +92,12 @@ function roadPaths(road) {
   const strips = new Map();
   const bounds = [Infinity, Infinity, -Infinity, -Infinity];
   for (const lane of road.lanes) {
-    const key = `${lane.use} ${lane.width_m}`;
-    if (!strips.has(key)) strips.set(key, { use: lane.use, width: lane.width_m, path: new Path2D() });
+    const key = `${lane.use} ${lane.width_m} ${lane.joins}`;
+    if (!strips.has(key)) {
+      // Round ends, hidden under the lanes they join, fill the wedges where those turn.
+      const cap = lane.joins ? 'round' : 'butt';
+      strips.set(key, { use: lane.use, width: lane.width_m, cap, path: new Path2D() });
+    }
     addFlat(strips.get(key).path, lane.xy, PER_M);
     for (let i = 0; i < lane.xy.length; i += 2) {
       bounds[0] = Math.min(bounds[0], lane.xy[i] / PER_M);
@@ -110,11 +114,6 @@ function roadPaths(road) {
   return {
     bounds: road.lanes.length ? bounds : null,
     strips: [...strips.values()],
-    surfaces: (road.surfaces || []).map(({ use, rings }) => {
-      const path = new Path2D();
-      for (const ring of rings) { addFlat(path, ring, PER_M); path.closePath(); }
-      return { use, path };
-    }),
     solid: lines(road.solid),
     dashed: lines(road.dashed),
     stops: road.stops.map((stop) => ({ ...stop, path: stopPath(stop) })),
@@ -155,20 +154,15 @@ function drawRoad(ctx, camera, paths, look) {
     for (const strip of paths.strips) {
       if (strip.use !== use) continue;
       ctx.lineWidth = Math.max(strip.width + grow, thinnest);
+      ctx.lineCap = strip.cap;
       ctx.stroke(strip.path);
-    }
-    ctx.fillStyle = colour;
-    for (const surface of paths.surfaces) {
-      if (surface.use !== use) continue;
-      ctx.fill(surface.path, 'evenodd');
-      ctx.lineWidth = grow;
-      if (grow) ctx.stroke(surface.path);
     }
   };
   stroke('path', 0, look.path);
   stroke('road', 1.1, look.shoulder);
   stroke('road', 0.56, look.kerb);
   stroke('road', 0, look.asphalt);
+  ctx.lineCap = 'butt';
   for (const strip of paths.strips.filter((one) => one.use === 'tram')) {
     ctx.strokeStyle = look.rail;
     ctx.lineWidth = 1.6;
@@ -220,12 +214,42 @@ function groundOf(paths) {
   };
 }
 
-// Stop lines of signals in the colour of the signal now.
-function drawSignals(ctx, paths, closed, look) {
+// Stop lines of signals in the colour of the signal now, and a lamp behind each: a disc with a bar
+// where it is closed, a ring where it is open, for those who see no difference of red and green.
+function drawSignals(ctx, camera, paths, closed, look) {
   for (const stop of paths.stops) {
     if (stop.gate !== 'signal' || !stop.signals.length) continue;
     if (Math.max(...stop.signals) >= closed.length) continue;
-    ctx.fillStyle = stop.signals.every((link) => closed[link]) ? look.closed : look.open;
+    const isClosed = stop.signals.every((link) => closed[link]);
+    ctx.fillStyle = ctx.strokeStyle = isClosed ? look.closed : look.open;
     ctx.fill(stop.path);
+    if (camera.scale < 3 || stop.xy.length < 8) continue;
+    const [x, y, alongX, alongY] = lampOf(stop.xy);
+    ctx.beginPath();
+    ctx.arc(x, y, 0.62, 0, 2 * Math.PI);
+    if (isClosed) {
+      ctx.fill();
+      ctx.fillStyle = '#ffffff';
+      ctx.beginPath();
+      ctx.moveTo(x - 0.4 * alongX, y - 0.4 * alongY);
+      ctx.lineTo(x + 0.4 * alongX, y + 0.4 * alongY);
+      ctx.strokeStyle = '#ffffff';
+    } else {
+      ctx.fillStyle = look.ink;
+      ctx.fill();
+    }
+    ctx.lineWidth = 0.26;
+    ctx.stroke();
   }
+}
+
+// The middle of a lamp, a metre behind the middle of its stop line, and the way along the line.
+function lampOf(xy) {
+  const [leftX, leftY, rightX, rightY] = xy.map((one) => one / PER_M);
+  const [backX, backY] = [xy[6] / PER_M - leftX, xy[7] / PER_M - leftY];
+  const across = Math.hypot(rightX - leftX, rightY - leftY) || 1, deep = Math.hypot(backX, backY) || 1;
+  return [
+    (leftX + rightX) / 2 + (1.1 * backX) / deep, (leftY + rightY) / 2 + (1.1 * backY) / deep,
+    (rightX - leftX) / across, (rightY - leftY) / across,
+  ];
 }

@@ -19,98 +19,21 @@ function makeApp(head) {
   return app;
 }
 
-// All that is shown at a frame, which may lie between two of the log; null: it is still unpacked.
-function viewOf(app) {
-  const { head, store } = app;
-  const frame = Math.min(Math.floor(app.frame + 1e-6), Math.max(head.frames - 1, 0));
-  const part = Math.max(app.frame - frame, 0);
-  const chunk = store.now(Math.floor(frame / head.chunk_frames));
-  if (!chunk) return null;
-  const states = new Map(), logged = new Map();
-  for (const [vehicle, row] of chunk.rowAt[frame % head.chunk_frames]) {
-    const state = stateOf(chunk, row, vehicle);
-    logged.set(vehicle, state);
-    const next = part > 1e-3 ? stateAt(store, head, frame + 1, vehicle) : null;
-    states.set(vehicle, next ? between(state, next, part) : state);
-  }
-  const ego = states.get(app.ego) || null;
-  const slots = ego ? slotsOf(logged.get(app.ego)) : [];
-  const involved = new Map(slots.filter((slot) => slot.focus).map((slot) => [slot.vehicle, slot.chance]));
-  if (ego) involved.set(app.ego, null);
-  const time = app.timeOf(app.frame);
-  const alerts = head.alerts.filter((alert) => alert.from_s <= time + 1e-6 && time < (alert.to_s ?? Infinity));
-  return {
-    frame, time, states, logged, ego, slots, involved, alerts,
-    closed: chunk.closed[frame % head.chunk_frames] || [], advice: standingAdvice(app, frame),
-  };
-}
-
-function between(state, next, part) {
-  let turn = (next.yaw - state.yaw) % (2 * Math.PI);
-  if (turn > Math.PI) turn -= 2 * Math.PI;
-  if (turn < -Math.PI) turn += 2 * Math.PI;
-  return {
-    ...state,
-    x: state.x + part * (next.x - state.x), y: state.y + part * (next.y - state.y),
-    yaw: state.yaw + part * turn, speed: state.speed + part * (next.speed - state.speed),
-  };
-}
-
-function drawScene(ctx, app, view) {
-  const { camera, look } = app;
-  app.ground(ctx, camera, look);
-  drawSignals(ctx, app.paths, view.closed, look);
-  if (camera.scale >= 1.2) {
-    drawSlots(ctx, app, view);
-    drawForecasts(ctx, app, view);
-  }
-  const lit = app.still || (view.time * 1.25) % 1 < 0.5;
-  for (const state of view.states.values()) {
-    if (!camera.sees(state.x, state.y, 15)) continue;
-    const isEgo = state.vehicle === app.ego, chance = view.involved.get(state.vehicle);
-    const ring = chance === undefined || chance === null ? null : chanceColour(chance);
-    const faded = app.ego >= 0 && view.ego !== null && !view.involved.has(state.vehicle);
-    drawVehicle(ctx, camera, state, app.shapes(state.vehicle), app.head.vehicles[state.vehicle],
-      { ring, isEgo, faded, lit, look });
-  }
-  if (camera.scale >= 1.2) drawConflicts(ctx, view, look);
-  drawAlarms(ctx, app, view);
-  camera.inPixels(ctx);
-  drawLabels(ctx, app, view);
-  drawScaleBar(ctx, camera);
-}
-
-function drawScaleBar(ctx, camera) {
-  const metres = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000].find((m) => m * camera.scale >= 60) || 5000;
-  const width = metres * camera.scale, x = camera.width - width - 14, y = camera.height - 14;
-  ctx.fillStyle = 'rgba(20,23,26,0.72)';
-  ctx.beginPath();
-  ctx.roundRect(x - 8, y - 20, width + 16, 28, 5);
-  ctx.fill();
-  ctx.fillStyle = '#ffffff';
-  ctx.fillRect(x, y, width, 2);
-  ctx.font = '11px system-ui, sans-serif';
-  ctx.textAlign = 'center';
-  ctx.textBaseline = 'alphabetic';
-  ctx.fillText(`${metres} m`, x + width / 2, y - 5);
-  ctx.textAlign = 'start';
-}
-
 // An alert about the ego goes before its advice.
 function showSaid(app, view) {
   const alert = view.alerts.find(({ ego, other }) => ego === app.ego || other === app.ego);
-  const words = alert ? alert.text : view.advice ? view.advice.text : '';
+  const words = alert ? alert.text : view.advice ? countedDown(view.advice.text, view.time - app.timeOf(view.advice.frame)) : '';
   const place = byId('said');
   if (place.textContent !== words) place.textContent = words;
   place.classList.toggle('alarmed', alert !== undefined);
 }
 
-async function start() {
-  const head = await unpackedJson(byId('head').textContent);
+function start() {
+  const head = unpackedJson(byId('head').textContent);
   const app = makeApp(head);
   const canvas = byId('map'), ctx = canvas.getContext('2d');
   app.camera = mapCamera(canvas);
-  let dirty = true, panelAt = 0, linkAt = 0, before = 0;
+  let dirty = true, panelAt = 0, linkAt = 0, before = 0, coming = 0, centring = -1;
   const redraw = () => { dirty = true; };
 
   app.choose = (vehicle) => {
@@ -133,11 +56,11 @@ async function start() {
       centreOn(vehicle);
     }
   };
-  const centreOn = async (vehicle) => {
-    await app.store.ask(Math.floor(app.frame / head.chunk_frames));
-    const state = stateAt(app.store, head, Math.floor(app.frame), vehicle);
+  const centreOn = (vehicle) => { centring = vehicle; redraw(); };
+  const centre = (view) => {
+    const state = view.states.get(centring);
     if (state) app.camera.lookAt(state.x, state.y, Math.max(app.camera.scale, 7));
-    redraw();
+    centring = -1;
   };
   const play = () => {
     if (app.frame >= head.frames - 1) app.frame = 0;
@@ -188,35 +111,35 @@ async function start() {
   };
 
   const timeline = timelineOf(app, jump);
+  const showPanel = makePanel(app);
   const link = () => {
     const ego = app.ego >= 0 ? `&ego=${encodeURIComponent(head.vehicles[app.ego].id)}` : '';
     return `#t=${app.timeOf(app.frame).toFixed(1)}${ego}`;
   };
   const readLink = () => {
-    const asked = new URLSearchParams(location.hash.slice(1));
-    const seconds = Number.parseFloat(asked.get('t') ?? '');
-    const vehicle = head.vehicles.findIndex(({ id }) => id === asked.get('ego'));
-    if (vehicle >= 0) app.choose(vehicle);
-    if (Number.isFinite(seconds)) seek(Math.round(app.frameOf(seconds)));
-    return { seconds: Number.isFinite(seconds), vehicle: vehicle >= 0 };
+    const asked = askedBy(location.hash, app);
+    if (asked.ego !== null) app.choose(asked.ego);
+    if (asked.frame !== null) seek(asked.frame);
+    byId('notice').hidden = !asked.amiss.length;
+    byId('notice').textContent = asked.amiss.join(' ');
+    return asked;
   };
 
-  const drawAll = (now) => {
-    requestAnimationFrame(drawAll);
-    if (app.playing) {
-      app.frame += Math.min((now - before) / 1000, 0.25) * app.speed / head.dt_s;
-      if (app.frame >= head.frames - 1) { app.frame = head.frames - 1; pause(); }
-      dirty = true;
-    }
-    before = now;
-    const number = Math.floor(app.frame / head.chunk_frames);
-    for (const wanted of [number, number + 1]) {
-      if (!app.store.has(wanted)) app.store.ask(wanted).then(redraw);
-    }
-    if (!dirty) return;
+  // The chunks beside this one are unpacked between two pictures, before they are needed.
+  const prepare = () => {
+    const here = Math.floor(app.frame / head.chunk_frames);
+    const wanted = [here + 1, here - 1].find((number) => !app.store.ready(number));
+    if (coming || wanted === undefined) return;
+    coming = setTimeout(() => {
+      coming = 0;
+      if (app.store.now(wanted) || document.readyState === 'loading') redraw();
+    });
+  };
+  const show = (now) => {
     const view = head.frames ? viewOf(app) : emptyView(app);
-    if (!view) return;
+    if (!view) return; // this moment has not arrived yet
     dirty = false;
+    if (centring >= 0) centre(view);
     if (app.following && view.ego) app.camera.lookAt(view.ego.x, view.ego.y);
     drawScene(ctx, app, view);
     byId('clock').textContent = `${view.time.toFixed(1)} s`;
@@ -225,8 +148,9 @@ async function start() {
     timeline.draw(view.time);
     if (now - panelAt > 150 || panelAt === 0) {
       panelAt = now;
-      drawPanel(app, view);
+      showPanel(view);
       showSaid(app, view);
+      markMoment(view);
     } else dirty = true;
     // Browsers slow down pages that change their address often.
     if (now - linkAt > 400 && !app.playing && link() !== location.hash) {
@@ -234,13 +158,24 @@ async function start() {
       history.replaceState(null, '', link());
     } else if (!app.playing && link() !== location.hash) dirty = true;
     app.drawn = (app.drawn || 0) + 1;
+    prepare();
+  };
+  const tick = (now) => {
+    requestAnimationFrame(tick);
+    if (app.playing) {
+      app.frame += Math.min((now - before) / 1000, 0.25) * app.speed / head.dt_s;
+      if (app.frame >= head.frames - 1) { app.frame = head.frames - 1; pause(); }
+      dirty = true;
+    }
+    before = now;
+    if (dirty) show(now);
   };
 
   fillIn(app);
-  makeMoments(app, jump);
+  const markMoment = makeMoments(app, jump);
   makeScores(app);
   makeSettings(app);
-  makeLegend();
+  makeLegend(app);
   bindPointer(canvas, app, redraw, () => follow(false));
   const actions = {
     back: () => step(-1), forth: () => step(1), play: () => (app.playing ? pause() : play()),
@@ -261,31 +196,51 @@ async function start() {
   const darkly = window.matchMedia('(prefers-color-scheme: dark)');
   setTheme(darkly.matches);
   darkly.addEventListener('change', (event) => setTheme(event.matches));
-  new ResizeObserver(() => { app.camera.resize(); redraw(); }).observe(canvas);
   app.camera.resize();
   app.camera.fit(app.paths.bounds || boundsOf(app));
   const asked = readLink();
-  if (!asked.seconds) seek(head.opens_at);
-  if (!asked.vehicle) app.choose(head.opens_with);
+  if (asked.frame === null) seek(head.opens_at);
+  if (asked.ego === null) app.choose(asked.amiss.length ? -1 : head.opens_with);
   setSpeed(1);
-  await app.store.ask(Math.floor(app.frame / head.chunk_frames));
   if (app.ego >= 0) centreOn(app.ego);
-  requestAnimationFrame((now) => { before = now; drawAll(now); });
+  show(performance.now()); // before the page is said to be loaded
+  performance.mark('first picture');
+  // A canvas of another size is empty: it is drawn before anybody sees it.
+  new ResizeObserver(() => {
+    const unseen = app.camera.width < 2;
+    app.camera.resize();
+    if (unseen) { app.camera.fit(app.paths.bounds || boundsOf(app)); centring = app.ego; }
+    show(performance.now());
+  }).observe(canvas);
+  requestAnimationFrame((now) => { before = now; tick(now); });
   window.hatn = readOnlyHook(app);
 }
 
-function emptyView(app) {
-  return {
-    frame: 0, time: app.startS, states: new Map(), logged: new Map(), ego: null, slots: [],
-    involved: new Map(), alerts: [], closed: [], advice: null,
-  };
-}
-
-function boundsOf(app) {
-  const chunk = app.store.now(0);
-  if (!chunk || !chunk.x.length) return [-50, -50, 50, 50];
-  const xs = [...chunk.x].map((x) => x / PER_M), ys = [...chunk.y].map((y) => y / PER_M);
-  return [Math.min(...xs) - 10, Math.min(...ys) - 10, Math.max(...xs) + 10, Math.max(...ys) + 10];
+// What a link asks for: frame and ego, null where it does not say or cannot be followed; and in
+// words what is amiss with it.
+function askedBy(hash, app) {
+  const { head } = app;
+  const given = new URLSearchParams(hash.slice(1));
+  const asked = { frame: null, ego: null, amiss: [] };
+  const name = given.get('ego'), time = given.get('t');
+  if (name !== null) {
+    const found = head.vehicles.findIndex(({ id }) => id === name);
+    if (found >= 0) asked.ego = found;
+    else asked.amiss.push(`The link names the ego \u201c${shortened(name, 60)}\u201d, which is not in this run.`);
+  }
+  if (time !== null) {
+    const seconds = Number(time);
+    const from = app.startS.toFixed(1), to = app.endS.toFixed(1);
+    if (!Number.isFinite(seconds) || !time.trim()) {
+      asked.amiss.push(`The link names the time \u201c${shortened(time, 20)}\u201d: expected seconds from ${from} to ${to}.`);
+    } else {
+      asked.frame = Math.round(app.frameOf(seconds));
+      if (Math.abs(app.timeOf(asked.frame) - seconds) > head.dt_s) {
+        asked.amiss.push(`The link names the time ${seconds} s; the run is from ${from} s to ${to} s, so this is its nearest moment.`);
+      }
+    }
+  }
+  return asked;
 }
 
 function fillIn(app) {
@@ -305,44 +260,6 @@ function fillIn(app) {
   byId('ego').append(element('option', { value: '-1', textContent: 'none' }),
     ...head.vehicles.map(({ id }, i) => element('option', { value: String(i), textContent: shortened(id, 48) })));
   byId('help').append(...KEYS.map(([key, words]) => element('span', {}, [element('kbd', { textContent: key }), ` ${words}`])));
-}
-
-// For tests and for the curious: what is drawn, in metres of the log's own frame. Changes nothing.
-function readOnlyHook(app) {
-  const { head, store } = app;
-  const [originX, originY] = head.origin_m;
-  const onMap = ([x, y]) => [x + originX, y + originY];
-  return Object.freeze({
-    async at(seconds) {
-      const frame = Math.round(app.frameOf(seconds));
-      await store.ask(Math.floor(frame / head.chunk_frames));
-      const chunk = store.now(Math.floor(frame / head.chunk_frames));
-      if (!chunk) return [];
-      return [...chunk.rowAt[frame % head.chunk_frames]].map(([vehicle, row]) => {
-        const state = stateOf(chunk, row, vehicle);
-        return {
-          id: head.vehicles[vehicle].id, xy_m: onMap([state.x, state.y]), yaw_rad: state.yaw,
-          speed_mps: state.speed,
-          modes: modesOf(state).map(({ chance, points }) => ({ chance, xy_m: points.slice(1).map(onMap) })),
-          slots: slotsOf(state).map((slot) => ({
-            id: head.vehicles[slot.vehicle].id, chance: slot.chance, focus: slot.focus, length_m: slot.length,
-            conflict_xy_m: slot.conflict && onMap(slot.conflict), ego_to_conflict_m: slot.egoTo,
-            strip_xy_m: (slotStrip(app, stateOf(chunk, chunk.rowAt[frame % head.chunk_frames].get(slot.vehicle), slot.vehicle), slot.length) || []).map(onMap),
-          })),
-        };
-      });
-    },
-    now() {
-      const view = head.frames ? viewOf(app) : emptyView(app);
-      return {
-        time_s: app.timeOf(app.frame), ego: app.ego >= 0 ? head.vehicles[app.ego].id : null,
-        playing: app.playing, speed: app.speed, following: app.following, drawn: app.drawn || 0,
-        said: view?.advice?.text ?? null, alerts: (view?.alerts ?? []).map((alert) => ({ ...alert })),
-        moments: app.moments.map((moment) => ({ ...moment })), scale: app.camera.scale,
-      };
-    },
-    pixel(xM, yM) { return app.camera.toScreen(xM - originX, yM - originY); },
-  });
 }
 
 start();
