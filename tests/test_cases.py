@@ -299,10 +299,10 @@ def test_figures_are_drawn_and_the_same_every_time(
     crossings: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("one", "two"):
-        words = ["report", str(crossings.path), "--cases", "interaction"]
+        words = ["figures", str(crossings.path), "--only", "interaction", "--formats", "png,pdf"]
         assert main([*words, "--out", str(tmp_path / name)]) == 0
     told = capsys.readouterr().out.split()
-    files = ["case-interaction.png", "case-interaction.pdf"]
+    files = ["interaction.png", "interaction.pdf"]
     assert told[:2] == [str(tmp_path / "one" / file) for file in files]
     for file in files:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
@@ -316,15 +316,15 @@ def test_figures_are_drawn_and_the_same_every_time(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--cases", "sequences"], "did you mean 'sequence'"),
-        (["--cases", "transfer", "--ego", "ego"], "--ego: without effect with --cases"),
-        (["--cases", "transfer", "--time", "3"], "--time: without effect with --cases"),
+        (["--only", "sequences"], "did you mean 'sequence'"),
+        (["--only", "transfer", "--ego", "ego"], "--ego: without effect on transfer"),
+        (["--only", "transfer", "--time", "3"], "--time: without effect on transfer"),
     ],
 )
 def test_wrong_words_are_one_line(
     crossings: Run, words: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["report", str(crossings.path), *words]) == 2
+    assert main(["figures", str(crossings.path), *words]) == 2
     error = capsys.readouterr().err
     assert told in error and error.count("\n") == 1
 
@@ -333,30 +333,24 @@ def test_a_run_without_a_case_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = write_run(tmp_path / "short", frames=40)
-    assert main(["report", str(short.path), "--cases"]) == 2
+    assert main(["figures", str(short.path), "--only", "interaction"]) == 2
     error = capsys.readouterr().err
     assert "no case to draw: expected an ego that yields" in error and error.count("\n") == 1
-    assert not list(short.path.glob("case-*"))
+    assert not list(short.path.rglob("interaction*"))
 
 
 def test_a_case_that_is_not_there_does_not_hide_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     learnt = write_run(tmp_path / "learnt", frames=110, header={"trained_on": ["crossings"]})
-    assert main(["report", str(learnt.path), "--cases"]) == 0
+    # Of several runs only cases are drawn.
+    assert main(["figures", str(learnt.path), str(learnt.path)]) == 0
     printed = capsys.readouterr()
-    assert printed.err.count("\n") == 1 and "where the networks were not trained" in printed.err
-    assert [Path(line).name for line in printed.out.split()] == [
-        "case-interaction.png",
-        "case-interaction.pdf",
-    ]
-
-
-def test_several_runs_are_for_cases_only(
-    crossings: Run, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["report", str(crossings.path), str(crossings.path)]) == 2
-    assert "2 runs, but a picture is of one" in capsys.readouterr().err
+    left_out = printed.err.splitlines()
+    assert [line.split()[1] for line in left_out] == ["sequence", "transfer"]
+    assert "where the networks were not trained" in left_out[1]
+    names = [Path(line).name for line in printed.out.split()]
+    assert names == ["interaction.pdf", "interaction.svg", "interaction.png"]
 
 
 def test_a_predictor_without_slots_is_one_clear_line(tmp_path: Path) -> None:

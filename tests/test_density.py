@@ -21,7 +21,7 @@ from hatn_sim import cli
 from hatn_sim.datatypes import Frame, Kind, Scene, Truth
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import Perception, begin, perceive
-from hatn_sim.report.density_figure import bar_width, draw_density
+from hatn_sim.report.density_figure import all_counts, bar_width, draw_density
 from hatn_sim.resources import scenes_to_test_on
 from hatn_sim.road import Road
 from hatn_sim.score.density import (
@@ -273,7 +273,8 @@ def test_the_figure_is_drawn_of_anything_and_equal_for_equal_samples(tmp_path: P
         "a very long path to a scene of the user's own": density_of([[0, 0, 0, 0]], [False]),
     }
     for name in ("a", "b"):
-        draw_density(densities, [tmp_path / f"{name}.png", tmp_path / f"{name}.pdf"])
+        counts = {label: all_counts(density) for label, density in densities.items()}
+        draw_density(counts, [tmp_path / f"{name}.png", tmp_path / f"{name}.pdf"])
     for suffix, magic in ((".png", b"\x89PNG"), (".pdf", b"%PDF")):
         drawn = (tmp_path / f"a{suffix}").read_bytes()
         assert drawn.startswith(magic)

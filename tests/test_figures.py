@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from test_picture import FRAMES, SPEED_MPS, START_M, write_run
+from test_picture import FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
 
 from hatn_sim.cli import main
 from hatn_sim.datatypes import HORIZON_FRAMES
 from hatn_sim.evaluation.comparison import write_curves
 from hatn_sim.log import Run
 from hatn_sim.report.kept_numbers import read_curves, read_scores
+from hatn_sim.report.space_time import free_spans, passing_time_s, space_time
 from hatn_sim.report.steps_figure import read_steps, write_steps
 from hatn_sim.report.table import write_scores
 from hatn_sim.report.traffic_figure import speeds_over_time
@@ -225,3 +226,49 @@ def test_reruns_own_tools_read_the_export(crossing: Run, tmp_path: Path) -> None
     for entity in ("/vehicles", "/predictions", "/conflicts", "/road/lanes", "/plots/vehicles"):
         assert entity in printed.stdout
     assert json.loads((crossing.path / "run.json").read_text())["frames"] == FRAMES
+
+
+# -- who goes when --------------------------------------------------------------------------------
+
+
+def test_ways_meet_at_the_conflict_when_they_did(crossing: Run) -> None:
+    frame = 10
+    story = space_time(crossing, frame, "eastbound")
+    (other,) = story.others
+    assert (story.ego.vehicle_id, other.vehicle_id) == ("eastbound", "northbound")
+    # At frame 10 the ego is 12 m before the crossing at (0, 0), the other 28 m; both keep 8 m/s.
+    now = int(np.flatnonzero(story.frames == frame)[0])
+    assert story.ego.s_m[now] == 0.0
+    assert other.conflict_s_m == pytest.approx(12.0, abs=0.3)
+    assert other.s_m[now] == pytest.approx(-16.0, abs=0.6)
+    np.testing.assert_allclose(np.diff(story.ego.s_m), SPEED_MPS * 0.1, atol=1e-9)
+    # Cars of 4 m: at (0, 0) from 2 m before it to 2 m behind it, 2.5 and 4.5 s after the start.
+    for strand, middle_s in ((story.ego, 102.5), (other, 104.5)):
+        taken = strand.occupied_s(story.time_s, other.conflict_s_m or 0.0)
+        assert taken == pytest.approx((middle_s - 0.25, middle_s + 0.25), abs=0.08)
+    ((free_s, _),) = free_spans(story)
+    assert free_s == pytest.approx((102.75, 104.25), abs=0.08)
+    # They do what was predicted.
+    told = next(one for one in story.ego.forecasts if one.frame == frame)
+    np.testing.assert_allclose(told.s_m[0], SPEED_MPS * 0.1 * np.arange(31), atol=1e-4)
+    # The other is there at frame 45, and 1.5 s more are told.
+    assert story.frames[-1] == 60
+    assert [one.frame for one in story.ego.forecasts] == [0, 10, 20, 30, 40, 50, 60]
+    assert story.chance[now] == pytest.approx([1.0 - SURE_OF_PASS, SURE_OF_PASS])
+
+
+def test_who_is_not_seen_at_a_place_does_not_pass_it() -> None:
+    time_s, s_m = np.arange(4.0), np.array([np.nan, 1.0, 3.0, 4.0])
+    assert passing_time_s(time_s, s_m, 2.0) == 1.5
+    assert passing_time_s(time_s, s_m, 0.5) is None  # it came into view behind it
+    assert passing_time_s(time_s, s_m, 5.0) is None
+
+
+def test_an_ego_without_slots_has_no_ways_to_draw(
+    crossing: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["figures", str(crossing.path), "--only", "spacetime"]
+    assert main([*words, "--ego", "eastbound", "--time", "106.9"]) == 2
+    assert "has no slots to choose from around 106.9 s" in capsys.readouterr().err
+    assert main([*words, "--ego", "eastbond"]) == 2
+    assert "did you mean 'eastbound'" in capsys.readouterr().err

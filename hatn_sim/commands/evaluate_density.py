@@ -33,7 +33,7 @@ FIGURES: Final = ("density.png", "density.pdf")
 
 def main(arguments: argparse.Namespace) -> int:
     """Simulate, count, print, draw."""
-    from hatn_sim.report.density_figure import draw_density
+    from hatn_sim.report.density_figure import all_counts, draw_density
     from hatn_sim.report.table import scores_json
     from hatn_sim.score.density import density_scores
 
@@ -43,7 +43,8 @@ def main(arguments: argparse.Namespace) -> int:
         label: _measure(arguments, label, scenario) for label, scenario in scenarios.items()
     }
     _write_histograms(out / HISTOGRAMS, densities)
-    draw_density(densities, [out / name for name in FIGURES])
+    counts = {label: all_counts(density) for label, density in densities.items()}
+    draw_density(counts, [out / name for name in FIGURES])
     if arguments.json:
         scores = [s for label, density in densities.items() for s in density_scores(label, density)]
         print(scores_json(scores))

@@ -12,9 +12,10 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from hatn_sim.datatypes import IntArray
 from hatn_sim.report.canvas import INK
 from hatn_sim.report.figures import dress, head_chart, new_chart, save_figure
-from hatn_sim.score.density import CRITERIA, Density, counts_of, histogram, summarise
+from hatn_sim.score.density import CRITERIA, Density, counts_of, histogram, summary_of
 
 TITLES: Final = {
     "all": "(a) all vehicles in the scene",
@@ -34,21 +35,29 @@ EDGES_IN: Final = 1.15
 """Title and axis labels, above and below the rows."""
 
 
-def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> None:
+Counts = Mapping[str, IntArray]
+"""Criterion -> [S] vehicles that each sample's ego interacts with."""
+
+
+def all_counts(density: Density) -> Counts:
+    """What is drawn of the samples of a scene."""
+    return {criterion: counts_of(density, criterion) for criterion in CRITERIA}
+
+
+def draw_density(scenes: Mapping[str, Counts], paths: Sequence[Path]) -> None:
     """Draw the distributions of the scenes into files, in the format that their suffix names.
 
     The first panel has an axis of its own, the other three of a row share theirs.
     """
-    rows = len(densities)
+    rows = len(scenes)
     figure = new_chart((WIDTH_IN, EDGES_IN + ROW_IN * rows))
     figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr]
     grid = figure.subplots(rows, len(CRITERIA), squeeze=False)
-    for row, (label, density) in zip(grid, densities.items(), strict=True):
-        counts = {criterion: counts_of(density, criterion) for criterion in CRITERIA}
+    for row, (label, counts) in zip(grid, scenes.items(), strict=True):
         shared = max((int(counts[c].max(initial=0)) for c in CRITERIA[1:]), default=0)
         for axes, criterion in zip(row, CRITERIA, strict=True):
             last = int(counts["all"].max(initial=0)) if criterion == "all" else shared
-            _panel(axes, density, criterion, last)
+            _panel(axes, counts, criterion, last)
         row[0].set_ylabel("share of samples", color=INK)
         row[0].annotate(
             label if len(label) <= MAX_LABEL else f"…{label[1 - MAX_LABEL :]}",
@@ -72,9 +81,9 @@ def draw_density(densities: Mapping[str, Density], paths: Sequence[Path]) -> Non
     save_figure(figure, paths)
 
 
-def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
+def _panel(axes: Axes, counts: Counts, criterion: str, last: int) -> None:
     """The histogram of one criterion, with bars for 0 to `last` vehicles."""
-    count = counts_of(density, criterion)
+    count = counts[criterion]
     width = bar_width(last)
     dress(axes, 8.5)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
@@ -90,7 +99,7 @@ def _panel(axes: Axes, density: Density, criterion: str, last: int) -> None:
     axes.text(
         0.98,
         0.97,
-        _caption(density, criterion, width),
+        _caption(counts, criterion, width),
         transform=axes.transAxes,
         ha="right",
         va="top",
@@ -105,13 +114,13 @@ def bar_width(last: int) -> int:
     return next(width for width in widths if last // width < MAX_BARS)
 
 
-def _caption(density: Density, criterion: str, width: int) -> str:
-    summary = summarise(density, criterion)
+def _caption(counts: Counts, criterion: str, width: int) -> str:
+    summary = summary_of(criterion, counts[criterion])
     if summary.mean is None:
         return "no samples"
     notes: list[str] = []
     # The same in every panel, but for vehicles without a reference line.
-    if criterion == "all" or summary.n != len(density.run):
+    if criterion == "all" or summary.n != len(counts["all"]):
         notes.append(f"n = {summary.n:,}")
     if width > 1:
         notes.append(f"{width} counts a bar")

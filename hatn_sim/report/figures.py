@@ -32,7 +32,11 @@ TITLE_PT: Final = 10.0
 LABEL_PT: Final = 7.5
 TICK_PT: Final = 7.0
 NOTE_PT: Final = 6.5
-WRITING: Final = {"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "hatn-sim"}
+WRITING: Final[dict[Any, Any]] = {
+    "pdf.fonttype": 42,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "hatn-sim",
+}
 NO_STAMPS: Final = {
     ".png": {"Software": None},
     ".pdf": {"CreationDate": None},

@@ -21,7 +21,7 @@ NONE: Final = "-"
 
 
 @dataclass(frozen=True)
-class _Form:
+class Form:
     """How the numbers of a measure are printed."""
 
     title: str
@@ -31,13 +31,13 @@ class _Form:
 
 
 FORMS: Final = {
-    "ade_3s": _Form("ADE 3 s, m", 1.0, 3),
-    "ade_0s3": _Form("ADE 0.3 s, m", 1.0, 3),
-    "fde_3s": _Form("FDE 3 s, m", 1.0, 3),
-    "fde_0s3": _Form("FDE 0.3 s, m", 1.0, 3),
-    "slot_accuracy": _Form("accuracy, %", 100.0, 2, more_is_better=True),
-    "goal_error": _Form("goal error, m", 1.0, 2),
-    "ade_2_change": _Form("change of ADE 2, %", 100.0, 1),
+    "ade_3s": Form("ADE 3 s, m", 1.0, 3),
+    "ade_0s3": Form("ADE 0.3 s, m", 1.0, 3),
+    "fde_3s": Form("FDE 3 s, m", 1.0, 3),
+    "fde_0s3": Form("FDE 0.3 s, m", 1.0, 3),
+    "slot_accuracy": Form("accuracy, %", 100.0, 2, more_is_better=True),
+    "goal_error": Form("goal error, m", 1.0, 2),
+    "ade_2_change": Form("change of ADE 2, %", 100.0, 1),
 }
 
 
@@ -98,7 +98,7 @@ def _of_paper(cell: Cell | None, best: float | None) -> str:
     return cell.printed + ("*" if cell.mean == best else "")
 
 
-def _of_ours(score: Score | None, form: _Form, best: float | None) -> str:
+def _of_ours(score: Score | None, form: Form, best: float | None) -> str:
     if score is None or score.value is None:
         return NONE
     star = "*" if score.value == best else ""

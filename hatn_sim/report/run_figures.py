@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from hatn_sim.errors import InputError
 from hatn_sim.log import Run
 
-Draw = Callable[[Run, Sequence[Path]], None]
+
+@dataclass(frozen=True)
+class Wish:
+    """What to look at; None: what tells the most."""
+
+    time_s: float | None = None
+    ego_id: str | None = None
+
+
+Draw = Callable[[Run, Wish, Sequence[Path]], None]
 
 
 def where(run: Run) -> str:
@@ -19,13 +29,22 @@ def where(run: Run) -> str:
     return words if seed is None else f"{words}, seed {seed}"
 
 
-def _moment(run: Run, paths: Sequence[Path]) -> None:
+def _moment(run: Run, wish: Wish, paths: Sequence[Path]) -> None:
     from hatn_sim.report.picture import choose_moment, draw_moment
 
-    draw_moment(run, *choose_moment(run), paths)
+    draw_moment(run, *choose_moment(run, wish.time_s, wish.ego_id), paths)
 
 
-def _traffic(run: Run, paths: Sequence[Path]) -> None:
+def _space_time(run: Run, wish: Wish, paths: Sequence[Path]) -> None:
+    from hatn_sim.report.choice import choose_moment
+    from hatn_sim.report.space_time import space_time
+    from hatn_sim.report.space_time_figure import draw_space_time
+
+    story = space_time(run, *choose_moment(run, wish.time_s, wish.ego_id))
+    draw_space_time(story, where(run), paths)
+
+
+def _traffic(run: Run, _: Wish, paths: Sequence[Path]) -> None:
     from hatn_sim.report.traffic_figure import draw_traffic
     from hatn_sim.score.close_passes import close_passes
     from hatn_sim.score.driven import driven_in
@@ -39,7 +58,7 @@ def _traffic(run: Run, paths: Sequence[Path]) -> None:
     draw_traffic(run, alerts_in(run), events, where(run), paths)
 
 
-def _calibration(run: Run, paths: Sequence[Path]) -> None:
+def _calibration(run: Run, _: Wish, paths: Sequence[Path]) -> None:
     from hatn_sim.report.calibration_figure import draw_calibration
     from hatn_sim.score.slot_calibration import slot_reliability
 
@@ -52,7 +71,7 @@ def _calibration(run: Run, paths: Sequence[Path]) -> None:
     draw_calibration(found, where(run), paths)
 
 
-def _errors(run: Run, paths: Sequence[Path]) -> None:
+def _errors(run: Run, _: Wish, paths: Sequence[Path]) -> None:
     from hatn_sim.report.steps_figure import draw_steps
     from hatn_sim.score.steps import errors_by_step
 
@@ -66,8 +85,11 @@ def _errors(run: Run, paths: Sequence[Path]) -> None:
 
 RUN_FIGURES: Final[Mapping[str, Draw]] = {
     "moment": _moment,
+    "spacetime": _space_time,
     "traffic": _traffic,
     "calibration": _calibration,
     "errors": _errors,
 }
 """Each raises InputError where the run lacks what it takes."""
+OF_A_MOMENT: Final = ("moment", "spacetime")
+"""Those that follow a wish."""

@@ -156,7 +156,11 @@ def criteria_of(density: Density) -> tuple[str, ...]:
 
 def summarise(density: Density, criterion: str) -> Summary:
     """The distribution of a criterion in a few figures."""
-    count = counts_of(density, criterion)
+    return summary_of(criterion, counts_of(density, criterion))
+
+
+def summary_of(criterion: str, count: IntArray) -> Summary:
+    """The same of its counts [S]."""
     if not len(count):
         return Summary(criterion, 0)
     return Summary(
