@@ -6,10 +6,11 @@ The only module that imports stable_baselines3, the extra `rl`.
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -27,6 +28,7 @@ from torch import Tensor, nn
 
 from hatn_sim.datatypes import MAX_NODES
 from hatn_sim.envs.features import VEHICLES
+from hatn_sim.errors import SimulatorError
 from hatn_sim.policies.inputs import Layout
 from hatn_sim.policies.network import HEAD_WIDTH, LAYERS, SETS, WIDTH, Network, save_network
 from hatn_sim.whole_file import save_whole
@@ -114,19 +116,35 @@ class Told(gymnasium.Wrapper[Any, Any, Any, Any]):
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         row, reward, is_terminal, is_cut, info = self.env.step(action)
         told = {"end": info["end"], "driven_s": info["driven_s"]}
-        return row, reward, is_terminal, is_cut, told
+        return row, float(reward), is_terminal, is_cut, told
 
 
 def _told(make_env: MakeEnv) -> Told:
     torch.set_num_threads(1)  # networks are small: more threads only wait for each other
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C is for who has begun all this
     return Told(make_env())
 
 
 @contextmanager
-def side_by_side(makers: Sequence[MakeEnv]) -> Iterator[VecEnv]:
-    """Environments in a process each; makers travel there, as pickles."""
-    with closing(SubprocVecEnv([partial(_told, one) for one in makers], START)) as envs:
+def side_by_side(makers: Sequence[MakeEnv]) -> Generator[VecEnv]:
+    """Environments in a process each; makers travel there, as pickles.
+
+    Raises SimulatorError where one of the processes dies.
+    """
+    envs = SubprocVecEnv([partial(_told, one) for one in makers], START)
+    try:
         yield envs
+    except (EOFError, ConnectionError) as error:
+        raise SimulatorError(
+            "train-policy: the process of an environment died; what was learnt up to the last "
+            "minute is kept"
+        ) from error
+    finally:
+        if envs.waiting:  # nobody knows who has answered
+            for process in envs.processes:
+                process.terminate()
+        else:
+            envs.close()
 
 
 def make_learner(algorithm: Algorithm, envs: VecEnv, layout: Layout, seed: int) -> BaseAlgorithm:
