@@ -22,7 +22,7 @@ from hatn_sim.envs.observation import Ego, Observation, observe_slots
 from hatn_sim.errors import InputError
 from hatn_sim.loop import Adviser, begin, tick
 from hatn_sim.policies.driver import PolicyAgent, observed
-from hatn_sim.policies.inputs import Layout, inputs_of
+from hatn_sim.policies.inputs import Layout, Moment, inputs_of
 from hatn_sim.policies.law import (
     LEVELS_MPS2,
     REACTION_S,
@@ -39,6 +39,7 @@ from hatn_sim.policies.network import (
     shapes_of,
     shipped_policy,
 )
+from hatn_sim.policies.timing import gains_mps2, slot_times_s
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.predictors.find import load_predictor
 from hatn_sim.road import Road
@@ -74,6 +75,7 @@ def before_line(speed_mps: float, bumper_m: float, is_stop: bool = True) -> Obse
     """The same, with a line this far from its front bumper."""
     seen = on_road(speed_mps, **{GATE: bumper_m + 0.5 * LENGTH_M})
     seen["slots"][0, 6] = bumper_m if is_stop else 40.0
+    seen["slots"][0, 0] = 8.0 if is_stop else 0.0  # from there on to the conflict
     return seen
 
 
@@ -94,9 +96,21 @@ def test_allowed_speeds_worked_out_by_hand() -> None:
     assert allowed_mps(before_line(3.0, 6.0), stood=False) == pytest.approx(to_line)
     assert allowed_mps(before_line(3.0, 6.0), stood=True) == pytest.approx(10.0)
     assert allowed_mps(before_line(3.0, 6.0, is_stop=False), stood=False) == pytest.approx(10.0)
+    # Where one gives way, the conflict itself may be as near as the line.
+    gives_way = before_line(3.0, 6.0, is_stop=False)
+    gives_way["slots"][0, 6] = 6.9
+    assert allowed_mps(gives_way, stood=False) == pytest.approx(10.0)
     red = before_line(3.0, 6.0, is_stop=False)
     red["ego"][NAMES.index("a closed signal is before it")] = 1.0
     assert allowed_mps(red, stood=True) == pytest.approx(to_line)
+
+
+def told(
+    observation: Observation, lawful_mps2: float = 1.0, gains: np.ndarray | None = None
+) -> Moment:
+    """An observation with what is known beside it."""
+    known = np.zeros(VEHICLES) if gains is None else gains.copy()
+    return Moment(observation, known, lawful_mps2, stood=False)
 
 
 def merging(ego_m: float, other_m: float, other_mps: float, line_m: float = 47.5) -> Observation:
@@ -167,6 +181,60 @@ def test_the_fastest_driver_within_the_law_stops_at_the_line(speed_mps: float) -
     assert stood and fastest == pytest.approx(10.0, abs=0.1)
 
 
+# -- what it knows ---------------------------------------------------------------------------------
+
+
+def test_times_at_a_conflict_worked_out_by_hand() -> None:
+    # 4 m beside the conflict on either side: half a length of 5 m and 1.5 m more.
+    seen = merging(16.0, 24.0, 5.0)
+    gains = np.zeros(MAX_NODES)
+    clear_s = (np.sqrt(4.0 + 3.0 * 20.0) - 2.0) / 1.5  # from 2 m/s, at 1.5 m/s2, over 20 m
+    comes_s = (np.sqrt(4.0 + 3.0 * 12.0) - 2.0) / 1.5
+    expected = [4.0, 4.0, clear_s, 4.0 - clear_s, comes_s - 28.0 / 5.0]
+    np.testing.assert_allclose(slot_times_s(seen, gains)[1], expected, rtol=1e-6)
+    gains[1] = 2.0
+    sooner_s = (np.sqrt(25.0 + 80.0) - 5.0) / 2.0  # 20 m from 5 m/s, at 2 m/s2
+    expected[1], expected[3] = sooner_s, sooner_s - clear_s
+    np.testing.assert_allclose(slot_times_s(seen, gains)[1], expected, rtol=1e-6)
+    # Who brakes may stop to do so.
+    gains[1] = -2.0
+    assert slot_times_s(seen, gains)[1, 1] == pytest.approx(4.0)
+    # 10 m/s are the limit: 4 s and 24 m to get there from 4 m/s, the other 24 m at it.
+    fast = before_line(4.0, 40.0)
+    fast["slot_mask"][1] = 1.0
+    fast["slots"][1, 7] = 24.0 + 24.0 * 10.0 / 24.0 - 4.0
+    assert slot_times_s(fast, np.zeros(MAX_NODES))[1, 2] == pytest.approx(4.0 + 0.6)
+    assert not slot_times_s(fast, gains)[[0, 2]].any()
+
+
+def test_accelerations_are_of_the_time_since_the_last_decision() -> None:
+    places = {"far": (40.0, 0.0, 0.0, 4.0), "ego": (0.0, 0.0, 0.0, 9.0), "near": (9.0, 0, 0, 7.0)}
+    gains = gains_mps2(scene_of(1.0, places), 1, {"near": 6.0, "ego": 1.0}, frames=5)
+    # The nearest first; who was not there has kept its speed.
+    np.testing.assert_allclose(gains[:2], [2.0, 0.0])
+    assert gains.shape == (VEHICLES,) and not gains[2:].any()
+
+
+def test_the_acceleration_of_a_vehicle_is_that_of_the_slot_before_it() -> None:
+    seen = merging(16.0, 24.0, 5.0)
+    seen["vehicle_mask"][:2] = 1.0
+    seen["vehicles"][1, -1] = 1.0  # the number of its slot
+    gains = np.zeros(VEHICLES)
+    still, gains[1] = told(seen, gains=gains), 1.5
+    moves = told(seen, gains=gains)
+    layout = Layout(False)
+    rows = [inputs_of(layout, one) for one in (still, moves)]
+    changed = [
+        np.flatnonzero(np.not_equal(*(row[part] for row in rows))) for part in layout.parts()
+    ]
+    slot, other = layout.slot, layout.other
+    # Of the slot: the acceleration, when the other comes, and how long before that it is clear.
+    assert changed[1].tolist() == [slot + k for k in (slot - 6, slot - 4, slot - 2)]
+    assert changed[3].tolist() == [2 * other - 1]
+    assert rows[1][layout.parts()[3]][2 * other - 1] == pytest.approx(0.5)  # of 3 m/s2
+    assert not any(len(changed[part]) for part in (0, 2, 4))
+
+
 # -- the network ----------------------------------------------------------------------------------
 
 
@@ -182,37 +250,34 @@ def random_network(layout: Layout, seed: int = 0) -> Network:
 def test_without_sight_of_predictions_they_do_not_count() -> None:
     rng = np.random.default_rng(1)
     seen = on_road(5.0)
-    told = dict(seen)
-    told["trajectories"] = rng.normal(0.0, 9.0, seen["trajectories"].shape).astype(np.float32)
-    told["slots"] = seen["slots"].copy()
-    told["slots"][:, -1] = 0.3
+    other = dict(seen)
+    other["trajectories"] = rng.normal(0.0, 9.0, seen["trajectories"].shape).astype(np.float32)
+    other["slots"] = seen["slots"].copy()
+    other["slots"][:, -1] = 0.3
     blind, sighted = Layout(False), Layout(True)
-    np.testing.assert_array_equal(
-        inputs_of(blind, seen, 1.0, False), inputs_of(blind, told, 1.0, False)
-    )
-    rows = [inputs_of(sighted, one, 1.0, False) for one in (seen, told)]
+    np.testing.assert_array_equal(inputs_of(blind, told(seen)), inputs_of(blind, told(other)))
+    rows = [inputs_of(sighted, told(one)) for one in (seen, other)]
     assert rows[0].shape == (sighted.size,) and (rows[0] != rows[1]).sum() > 100
     # An episode's end hurries nobody.
     late = dict(seen) | {"ego": seen["ego"].copy()}
     late["ego"][len(OWN) - 1] = 0.7
-    np.testing.assert_array_equal(
-        inputs_of(sighted, seen, 1.0, False), inputs_of(sighted, late, 1.0, False)
-    )
+    np.testing.assert_array_equal(inputs_of(sighted, told(seen)), inputs_of(sighted, told(late)))
 
 
 def test_the_order_of_vehicles_is_without_effect() -> None:
     rng = np.random.default_rng(2)
     seen = on_road(5.0)
     seen["vehicles"][:4] = rng.normal(0.0, 9.0, (4, len(OTHER)))
+    seen["vehicles"][:4, -1] = 0.0  # before no slot
     seen["vehicle_mask"][:4] = 1.0
     turned = dict(seen) | {"vehicles": seen["vehicles"].copy()}
     turned["vehicles"][:4] = seen["vehicles"][[2, 0, 3, 1]]
     masked = dict(seen) | {"vehicles": seen["vehicles"].copy()}
-    masked["vehicles"][9] = 5.0
+    masked["vehicles"][9] = 5.0  # and so is the number of its slot
     network = random_network(Layout(False))
-    values = [network.values(inputs_of(network.layout, one, 1.0, False)) for one in (seen, turned)]
+    values = [network.values(inputs_of(network.layout, told(one))) for one in (seen, turned)]
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
-    behind_mask = network.values(inputs_of(network.layout, masked, 1.0, False))
+    behind_mask = network.values(inputs_of(network.layout, told(masked)))
     np.testing.assert_array_equal(values[0], behind_mask)
 
 
@@ -268,15 +333,16 @@ class OneIsRight(gymnasium.Env[np.ndarray, int]):
 def test_what_is_learnt_drives_the_same_without_torch(algorithm: Any, steps: int) -> None:
     pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
     import torch
+    from stable_baselines3.common.vec_env import DummyVecEnv
 
-    from hatn_sim.policies.training import learn, make_learner, network_of
+    from hatn_sim.policies.training import Pace, learn, make_learner, network_of
 
     layout = Layout(False)
     make_env: Any = lambda: OneIsRight(layout)  # noqa: E731 - stands in for the traffic
-    learner = make_learner(algorithm, [make_env, make_env], layout, seed=3)
-    told: list[Any] = []
-    rows = learn(learner, 10.0, steps, told.append, lambda: None)
-    assert rows == told and rows[-1].arrived == 1.0 and rows[-1].time_s == 5.0
+    learner = make_learner(algorithm, DummyVecEnv([make_env, make_env]), layout, seed=3)
+    watched: list[Any] = []
+    rows = learn(learner, Pace(10.0, steps), watched.append, lambda: None)
+    assert rows == watched and rows[-1].arrived == 1.0 and rows[-1].time_s == 5.0
     network = network_of(learner, layout, {})
     assert {name: one.shape for name, one in network.tensors.items()} == shapes_of(layout)
     right = 0
@@ -411,7 +477,8 @@ def test_a_short_training_leaves_weights_card_progress_and_a_picture(
 ) -> None:
     pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
     out = tmp_path / "new"
-    words = ["--scenes", "intersection5", "--steps", "2000", "--out", str(out), "--quiet"]
+    words = ["--scenes", "intersection5", "--envs", "2", "--steps", "2000", "--quiet"]
+    words += ["--out", str(out)]
     assert cli.main(["train-policy", *words, "--mark", "idm=30"]) == 0
     assert "decisions in" in capsys.readouterr().out
     network = load_network(out / "ppo.safetensors")

@@ -12,12 +12,14 @@ from __future__ import annotations
 import argparse
 import shlex
 from dataclasses import asdict
+from functools import partial
 from importlib.util import find_spec
+from itertools import cycle, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import hatn_sim
-from hatn_sim.commands.options import names, seconds, whole_number
+from hatn_sim.commands.options import names, seconds, share, whole_number
 
 if TYPE_CHECKING:
     from hatn_sim.policies.training import Progress
@@ -28,8 +30,10 @@ EXAMPLES = """examples:
   hatn-sim train-policy --predictor hatn --see-predictions --out my_foresight
 """
 SCENES: Final = ("intersection5", "roundabout8")
-MINUTES: Final = 45.0
-MOST_STEPS: Final = 60_000
+ENVS: Final = 8
+TOLD_SHARE: Final = 0.6
+MINUTES: Final = 40.0
+MOST_STEPS: Final = 250_000
 ALGORITHMS: Final = ("ppo", "dqn")
 
 
@@ -41,7 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=names,
         default=SCENES,
         metavar="A,B",
-        help=f"one environment of each (default: {','.join(SCENES)})",
+        help=f"the environments are of these by turns (default: {','.join(SCENES)})",
+    )
+    parser.add_argument(
+        "--envs",
+        type=whole_number,
+        default=ENVS,
+        metavar="N",
+        help=f"environments side by side, a process each (default: {ENVS})",
     )
     parser.add_argument(
         "--minutes", type=seconds, default=MINUTES, metavar="M", help=f"(default: {MINUTES:g})"
@@ -52,6 +63,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=MOST_STEPS,
         metavar="N",
         help=f"stop after so many decisions of half a second, too (default: {MOST_STEPS:,})",
+    )
+    parser.add_argument(
+        "--told-share",
+        type=share,
+        default=TOLD_SHARE,
+        metavar="SHARE",
+        help="of the training, at its beginning, in which everybody's route is told, which is "
+        f"faster than to infer it (default: {TOLD_SHARE:g})",
     )
     parser.add_argument("--density", metavar="light|normal|dense")
     parser.add_argument("--risk", metavar="NAME", help="of the other drivers")
@@ -120,18 +139,28 @@ def _train(arguments: argparse.Namespace, path: Path) -> list[Progress]:
     from hatn_sim.commands.train_progress import TrainProgress
     from hatn_sim.policies.inputs import Layout
     from hatn_sim.policies.lawful_env import make_lawful
-    from hatn_sim.policies.training import learn, make_learner, write_policy, write_progress
+    from hatn_sim.policies.training import (
+        Pace,
+        learn,
+        make_learner,
+        side_by_side,
+        write_policy,
+        write_progress,
+    )
 
     layout = Layout(arguments.see_predictions)
     traffic = {key: getattr(arguments, key) for key in ("density", "risk")}
-    together = [
-        make_lawful(scene, arguments.predictor, layout, **traffic) for scene in arguments.scenes
+    lines = "route" if arguments.told_share else "inferred"
+    makers = [
+        partial(make_lawful, scene, arguments.predictor, layout, lines=lines, **traffic)
+        for scene in arguments.scenes
     ]
-    learner = make_learner(
-        arguments.algorithm, [lambda env=env: env for env in together], layout, arguments.seed
-    )
+    for make in makers:  # what is wrong with one is told here
+        make().close()
+    together = list(islice(cycle(makers), arguments.envs))
     rows: list[Progress] = []
-    with TrainProgress(arguments.quiet) as watch:
+    with side_by_side(together) as envs, TrainProgress(arguments.quiet) as watch:
+        learner = make_learner(arguments.algorithm, envs, layout, arguments.seed)
 
         def tell(row: Progress) -> None:
             rows.append(row)
@@ -142,11 +171,7 @@ def _train(arguments: argparse.Namespace, path: Path) -> list[Progress]:
         def keep() -> None:
             write_policy(path, learner, layout, _card(arguments, rows))
 
-        try:
-            learn(learner, arguments.minutes, arguments.steps, tell, keep)
-        finally:
-            for env in together:
-                env.close()
+        learn(learner, Pace(arguments.minutes, arguments.steps, arguments.told_share), tell, keep)
     return rows
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -11,12 +11,12 @@ from hatn_sim.envs.observation import Ego, Observation, Sight, observe_slots
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import PerceptionState, perceive
 from hatn_sim.perception import begin as begin_to_perceive
-from hatn_sim.policies.inputs import inputs_of
-from hatn_sim.policies.law import REACTION_S, has_stood, lawful_mps2, level_mps2
+from hatn_sim.policies.inputs import Moment, inputs_of
+from hatn_sim.policies.law import HOLDS_FRAMES, has_stood, lawful_mps2, level_mps2
 from hatn_sim.policies.network import Network, load_network
+from hatn_sim.policies.timing import Speeds, gains_mps2, speeds_of
 from hatn_sim.road import Road
 
-HOLDS_FRAMES: Final = round(REACTION_S / DT_S)
 NO_LIMIT: Final = 1.0
 """Of the time limit of an episode all is left; policies do not look at it."""
 
@@ -29,6 +29,7 @@ class Memory:
     frames: int = 0
     speed_mps: float | None = None  # a frame ago
     stood: bool = False  # at the stop line ahead
+    before: Speeds = field(default_factory=dict)  # a decision ago
     command_mps2: float = 0.0  # holds until the next decision
 
 
@@ -61,8 +62,10 @@ class PolicyAgent:
         observation = observed(state, row, scene, advice)
         stood = has_stood(state.stood, observation)
         lawful = lawful_mps2(observation, stood)
-        level = self.network.best(inputs_of(self.network.layout, observation, lawful, stood))
-        return replace(state, stood=stood, command_mps2=level_mps2(level, lawful))
+        gains = gains_mps2(scene, row, state.before, HOLDS_FRAMES)
+        now = Moment(observation, gains, lawful, stood)
+        command_mps2 = level_mps2(self.network.best(inputs_of(self.network.layout, now)), lawful)
+        return replace(state, stood=stood, before=speeds_of(scene), command_mps2=command_mps2)
 
 
 def observed(state: Memory, row: int, scene: Scene, advice: Advice) -> Observation:

@@ -1,4 +1,4 @@
-"""An observation as the one row of numbers that a policy reads.
+"""What a policy knows of a moment, as the one row of numbers that it reads.
 
 Every number is divided by a scale of its unit, so that all are about one. `Layout` says where the
 parts are: the ego, slots and vehicles with their masks.
@@ -15,6 +15,7 @@ import numpy as np
 from hatn_sim.datatypes import MAX_NODES
 from hatn_sim.envs.features import MODES, ON_ROAD, OTHER, OWN, POINTS, SLOT, VEHICLES, Feature
 from hatn_sim.envs.observation import Observation
+from hatn_sim.policies.timing import TIMES, slot_times_s
 
 SCALES: Final = {"m": 20.0, "m/s": 10.0, "m/s2": 3.0, "s": 3.0, "1/m": 0.1}
 """By unit; all others stay as they are."""
@@ -23,6 +24,8 @@ TIME_LEFT: Final = len(OWN) - 1
 OF_LAW: Final = 2
 """What the ego reads beside its observation: the acceleration that is allowed, has it stood."""
 MOST_ALLOWED_MPS2: Final = 8.0
+CHANCE: Final = len(SLOT) - 1
+NUMBER: Final = len(OTHER) - 1
 
 
 def _scales(features: Sequence[Feature]) -> np.ndarray:
@@ -46,11 +49,13 @@ class Layout:
 
     @property
     def slot(self) -> int:
-        return len(SLOT) if self.sees_predictions else len(SLOT) - 1
+        """With the acceleration of who is behind it, and times."""
+        return len(SLOT) + 1 + len(TIMES) - (not self.sees_predictions)
 
     @property
     def other(self) -> int:
-        return len(OTHER) + (MODES * (POINTS * 2 + 1) if self.sees_predictions else 0)
+        """With its acceleration."""
+        return len(OTHER) + 1 + (MODES * (POINTS * 2 + 1) if self.sees_predictions else 0)
 
     @property
     def size(self) -> int:
@@ -63,19 +68,40 @@ class Layout:
         return tuple(slice(end - size, end) for size, end in zip(sizes, ends, strict=True))
 
 
-def inputs_of(
-    layout: Layout, observation: Observation, lawful_mps2: float, stood: bool
-) -> np.ndarray:
-    """The row [layout.size] of an observation of the form `slots`, as float32."""
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """An observation of the form `slots`, and what is known beside it."""
+
+    observation: Observation
+    gains_mps2: np.ndarray  # [VEHICLES] accelerations of those observed, in their order
+    lawful_mps2: float  # what is allowed
+    stood: bool  # at the stop line ahead
+
+
+def inputs_of(layout: Layout, now: Moment) -> np.ndarray:
+    """The row [layout.size] of a moment, as float32."""
+    observation = now.observation
     own = np.delete(observation["ego"] / _OWN, TIME_LEFT)
-    lawful = np.clip(lawful_mps2, -MOST_ALLOWED_MPS2, MOST_ALLOWED_MPS2) / SCALES["m/s2"]
-    slots, others = observation["slots"] / _SLOT, observation["vehicles"] / _OTHER
+    lawful = np.clip(now.lawful_mps2, -MOST_ALLOWED_MPS2, MOST_ALLOWED_MPS2) / SCALES["m/s2"]
+    of_slots = _of_slots(observation, now.gains_mps2)
+    times = slot_times_s(observation, of_slots) / SCALES["s"]
+    slots = np.column_stack((observation["slots"] / _SLOT, of_slots / SCALES["m/s2"], times))
+    others = np.column_stack((observation["vehicles"] / _OTHER, now.gains_mps2 / SCALES["m/s2"]))
     if layout.sees_predictions:
         paths = observation["trajectories"][1:].reshape(VEHICLES, -1) / SCALES["m"]
         others = np.hstack((others, paths, observation["mode_probability"][1:]))
     else:
-        slots = slots[:, :-1]
+        slots = np.delete(slots, CHANCE, axis=1)
     masks = observation["slot_mask"], observation["vehicle_mask"]
-    of_law = np.array([lawful, stood])
+    of_law = np.array([lawful, now.stood])
     parts = (own, of_law, slots.ravel(), masks[0], others.ravel(), masks[1])
     return np.concatenate(parts).astype(np.float32)
+
+
+def _of_slots(observation: Observation, gains_mps2: np.ndarray) -> np.ndarray:
+    """The accelerations [MAX_NODES] of those behind the slots; 0 where nobody is seen there."""
+    behind = np.zeros(MAX_NODES)
+    number = observation["vehicles"][:, NUMBER].astype(np.int64)
+    behind[number] = gains_mps2 * observation["vehicle_mask"]
+    behind[0] = 0.0  # of those who are behind none
+    return behind

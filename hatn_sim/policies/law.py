@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.suggest import AT_LINE_M
-from hatn_sim.datatypes import FloatArray
+from hatn_sim.datatypes import DT_S, FloatArray
 from hatn_sim.envs.action import FASTER_MPS2, SLOWER_MPS2
 from hatn_sim.envs.features import ON_ROAD, OWN, ROAD_AT_M, SLOT
 from hatn_sim.envs.observation import Observation
@@ -25,6 +25,7 @@ BRAKING_MPS2: Final = 2.5
 """What is ahead is to be met by braking no harder than this."""
 REACTION_S: Final = 0.5
 """The time of one decision."""
+HOLDS_FRAMES: Final = round(REACTION_S / DT_S)
 HEADWAY_S: Final = 1.0
 FALLS_BACK_S: Final = 1.0
 STANDSTILL_M: Final = 2.0
@@ -39,6 +40,7 @@ AHEAD_S: Final = 1.5
 """Who is at a conflict so much sooner than the other is not in the way."""
 SAME_M: Final = 1.0
 """So near to each other, the end of the ego's own slot and the line ahead are one place."""
+AT_CONFLICT_M: Final = 0.1
 STANDING_MPS: Final = 0.3
 
 _OWN: Final = {one.name: k for k, one in enumerate(OWN + ON_ROAD)}
@@ -56,6 +58,7 @@ _MERGES: Final = _SLOT["the conflict is a merge"]
 _EGO_S: Final = _SLOT["earliest time of the ego at the conflict"]
 _OTHER_S: Final = _SLOT["earliest time of the rear vehicle there"]
 _FRONT_MPS: Final = _SLOT["v_f, speed of the front boundary"]
+_FRONT_M: Final = _SLOT["d_f, way from the front boundary to the conflict"]
 _SLOT_M: Final = _SLOT["l, length of the slot"]
 
 
@@ -143,10 +146,14 @@ def _line_m(observation: Observation) -> float:
 
 
 def _is_stop_line(observation: Observation) -> bool:
-    """A line that ends the ego's own slot is one to stop at; at others one gives way."""
+    """A line that ends the ego's own slot is one to stop at; at others one gives way.
+
+    What ends it at a give-way line is the conflict behind it, which may be as near.
+    """
     slot = observation["slots"][0]
     is_end = abs(float(slot[_SLOT_M]) - _line_m(observation)) < SAME_M
-    return is_end and float(slot[_FRONT_MPS]) == 0.0
+    is_conflict = float(slot[_FRONT_M]) < AT_CONFLICT_M
+    return is_end and not is_conflict and float(slot[_FRONT_MPS]) == 0.0
 
 
 def _safe_mps(away_m: FloatArray, there_mps: FloatArray, reaction_s: FloatArray) -> FloatArray:

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from dataclasses import replace
+from typing import Any, Final, cast
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 
 from hatn_sim.envs.action import FASTER_MPS2, SLOWER_MPS2
+from hatn_sim.envs.features import VEHICLES
 from hatn_sim.envs.observation import Observation
-from hatn_sim.policies.inputs import Layout, inputs_of
-from hatn_sim.policies.law import LEVELS_MPS2, has_stood, lawful_mps2, level_mps2
+from hatn_sim.envs.scene_env import SceneEnv
+from hatn_sim.policies.inputs import Layout, Moment, inputs_of
+from hatn_sim.policies.law import HOLDS_FRAMES, LEVELS_MPS2, has_stood, lawful_mps2, level_mps2
+from hatn_sim.policies.timing import Speeds, gains_mps2, speeds_of
 
-REWARD: Final = {"time_s": -0.1, "arrival": 2.0, "lawless": 0.0}
-"""Beside the weights that environments have: 100 s of waiting are no worse than one collision.
-The law is kept for the policy: nothing is to be learnt of it."""
+REWARD: Final = {
+    "progress_m": 0.01,
+    "time_s": -0.05,
+    "discomfort_s": -0.015,
+    "risk_s": -0.25,
+    "lawless": 0.0,
+    "collision": -10.0,
+    "arrival": 1.0,
+}
+"""200 s of waiting are no worse than one collision; comfort counts less than time. The law is kept
+for the policy: nothing is to be learnt of it."""
 
 
 class LawfulLevels(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -28,6 +40,7 @@ class LawfulLevels(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.action_space = Discrete(len(LEVELS_MPS2))  # type: ignore[assignment]
         self._stood = False
         self._lawful_mps2 = 0.0
+        self._before: Speeds = {}  # a decision ago
         self._start_s = 0.0
 
     def reset(
@@ -35,8 +48,8 @@ class LawfulLevels(gymnasium.Wrapper[Any, Any, Any, Any]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """As of the environment."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._stood, self._start_s = False, info["time_s"]
-        return self._seen(observation), info
+        self._stood, self._before, self._start_s = False, {}, info["time_s"]
+        return self._seen(observation, info), info
 
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Drives a level, by its number; `info` has `driven_s`, since the ego came."""
@@ -44,12 +57,23 @@ class LawfulLevels(gymnasium.Wrapper[Any, Any, Any, Any]):
         share = np.array([share_of(wanted)], np.float32)
         observation, reward, is_terminal, is_cut, info = self.env.step(share)
         info["driven_s"] = info["time_s"] - self._start_s
-        return self._seen(observation), float(reward), is_terminal, is_cut, info
+        return self._seen(observation, info), float(reward), is_terminal, is_cut, info
 
-    def _seen(self, observation: Observation) -> np.ndarray:
+    def infer_lines(self) -> None:
+        """From the next episode on nobody's route is told."""
+        scene_env = cast(SceneEnv, self.unwrapped)
+        scene_env.options = replace(scene_env.options, lines="inferred")
+
+    def _seen(self, observation: Observation, info: dict[str, Any]) -> np.ndarray:
+        scene, ego_id = info["seen"].scene, info["ego_id"]
+        gains = np.zeros(VEHICLES)
+        if ego_id in scene.ids:
+            gains = gains_mps2(scene, scene.ids.index(ego_id), self._before, HOLDS_FRAMES)
+        self._before = speeds_of(scene)
         self._stood = has_stood(self._stood, observation)
         self._lawful_mps2 = lawful_mps2(observation, self._stood)
-        return inputs_of(self.layout, observation, self._lawful_mps2, self._stood)
+        now = Moment(observation, gains, self._lawful_mps2, self._stood)
+        return inputs_of(self.layout, now)
 
 
 def share_of(wanted_mps2: float) -> float:
@@ -66,6 +90,7 @@ def make_lawful(scene: str, predictor: str, layout: Layout, **options: Any) -> L
         observation="slots",
         action="acceleration",
         reward=REWARD,
+        advice=False,
         disable_env_checker=True,
         **options,
     )

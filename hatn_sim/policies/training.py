@@ -6,35 +6,56 @@ The only module that imports stable_baselines3, the extra `rl`.
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import gymnasium
 import numpy as np
 import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 from torch import Tensor, nn
 
 from hatn_sim.datatypes import MAX_NODES
 from hatn_sim.envs.features import VEHICLES
+from hatn_sim.errors import SimulatorError
 from hatn_sim.policies.inputs import Layout
-from hatn_sim.policies.lawful_env import LawfulLevels
 from hatn_sim.policies.network import HEAD_WIDTH, LAYERS, SETS, WIDTH, Network, save_network
 from hatn_sim.whole_file import save_whole
 
 Algorithm = Literal["ppo", "dqn"]
+MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
 HEAD: Final = [HEAD_WIDTH, HEAD_WIDTH]
 RECENT: Final = 50
 """Episodes that a row of the progress is the mean of."""
 DISCOUNT: Final = 0.99
+LEARNING_RATE: Final = 5e-4
+ENTROPY: Final = 0.01
+"""Both fall to 0 while a training with PPO goes on."""
+ROLLOUT: Final = 1024
+"""Decisions, of all environments, between the updates of PPO."""
 SAVE_EVERY_S: Final = 60.0
+START: Final = "spawn"
+"""Simulators are not to be forked, nor what they share."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long a training goes on: until the minutes or the decisions are used up."""
+
+    minutes: float
+    steps: int
+    told_share: float = 0.0  # of it, at its beginning, with everybody's route told
 
 
 @dataclass(frozen=True)
@@ -85,48 +106,84 @@ def _most(rows: Tensor, mask: Tensor) -> Tensor:
     return (rows * mask[..., None]).amax(dim=1)
 
 
-def make_learner(
-    algorithm: Algorithm, envs: Sequence[Callable[[], LawfulLevels]], layout: Layout, seed: int
-) -> BaseAlgorithm:
-    """A learner that knows nothing yet, with its environments."""
+class Told(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Tells no more than a learner reads: all of it goes from process to process."""
+
+    def reset(self, **given: Any) -> tuple[np.ndarray, dict[str, Any]]:
+        row, _ = self.env.reset(**given)
+        return row, {}
+
+    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        row, reward, is_terminal, is_cut, info = self.env.step(action)
+        told = {"end": info["end"], "driven_s": info["driven_s"]}
+        return row, float(reward), is_terminal, is_cut, told
+
+
+def _told(make_env: MakeEnv) -> Told:
     torch.set_num_threads(1)  # networks are small: more threads only wait for each other
-    together = DummyVecEnv(list(envs))
-    extractor: dict[str, Any] = {
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C is for who has begun all this
+    return Told(make_env())
+
+
+@contextmanager
+def side_by_side(makers: Sequence[MakeEnv]) -> Generator[VecEnv]:
+    """Environments in a process each; makers travel there, as pickles.
+
+    Raises SimulatorError where one of the processes dies.
+    """
+    envs = SubprocVecEnv([partial(_told, one) for one in makers], START)
+    try:
+        yield envs
+    except (EOFError, ConnectionError) as error:
+        raise SimulatorError(
+            "train-policy: the process of an environment died; what was learnt up to the last "
+            "minute is kept"
+        ) from error
+    finally:
+        if envs.waiting:  # nobody knows who has answered
+            for process in envs.processes:
+                process.terminate()
+        else:
+            envs.close()
+
+
+def make_learner(algorithm: Algorithm, envs: VecEnv, layout: Layout, seed: int) -> BaseAlgorithm:
+    """A learner that knows nothing yet, with its environments."""
+    torch.set_num_threads(1)
+    common: dict[str, Any] = {"gamma": DISCOUNT, "seed": seed, "device": "cpu"}
+    networks: dict[str, Any] = {
         "features_extractor_class": Sets,
         "features_extractor_kwargs": {"sees_predictions": layout.sees_predictions},
         "activation_fn": nn.ReLU,
+        "net_arch": HEAD,
     }
     if algorithm == "ppo":
         return PPO(
             "MlpPolicy",
-            together,
-            n_steps=512 // together.num_envs,
+            envs,
+            n_steps=ROLLOUT // envs.num_envs,
             batch_size=128,
-            n_epochs=10,
-            learning_rate=4e-4,
-            gamma=DISCOUNT,
+            n_epochs=8,
+            learning_rate=LEARNING_RATE,
             gae_lambda=0.95,
-            ent_coef=0.01,
-            policy_kwargs=extractor | {"net_arch": HEAD},
-            seed=seed,
-            device="cpu",
+            ent_coef=ENTROPY,
+            policy_kwargs=networks | {"share_features_extractor": False},
+            **common,
         )
     return DQN(
         "MlpPolicy",
-        together,
+        envs,
         learning_rate=4e-4,
         buffer_size=100_000,
         learning_starts=1000,
         batch_size=128,
-        gamma=DISCOUNT,
         train_freq=2,
-        gradient_steps=2,
+        gradient_steps=2 * envs.num_envs,
         target_update_interval=500,
         exploration_fraction=0.3,
         exploration_final_eps=0.03,
-        policy_kwargs=extractor | {"net_arch": HEAD},
-        seed=seed,
-        device="cpu",
+        policy_kwargs=networks,
+        **common,
     )
 
 
@@ -134,7 +191,7 @@ def network_of(learner: BaseAlgorithm, layout: Layout, card: dict[str, Any]) -> 
     """What a learner has learnt, as it drives."""
     if isinstance(learner, PPO):
         policy = learner.policy
-        sets = policy.features_extractor
+        sets = policy.pi_features_extractor
         head = [*policy.mlp_extractor.policy_net, policy.action_net]
     else:
         assert isinstance(learner, DQN)
@@ -152,14 +209,15 @@ def network_of(learner: BaseAlgorithm, layout: Layout, card: dict[str, Any]) -> 
 
 def learn(
     learner: BaseAlgorithm,
-    minutes: float,
-    steps: int,
+    pace: Pace,
     watch: Callable[[Progress], object],
     keep: Callable[[], object],
 ) -> list[Progress]:
-    """Learns until `minutes` are up or `steps` are done; `keep` is called now and then."""
-    diary = _Diary(minutes, watch, keep)
-    learner.learn(steps, callback=diary)
+    """Learns until the time or the decisions are used up; `keep` is called now and then."""
+    diary = _Diary(pace, watch, keep)
+    if isinstance(learner, PPO):
+        learner.lr_schedule = lambda _: LEARNING_RATE * diary.left
+    learner.learn(pace.steps, callback=diary)
     keep()
     return diary.rows
 
@@ -168,15 +226,34 @@ class _Diary(BaseCallback):
     """Notes how episodes end, and ends the training in time."""
 
     def __init__(
-        self, minutes: float, watch: Callable[[Progress], object], keep: Callable[[], object]
+        self,
+        pace: Pace,
+        watch: Callable[[Progress], object],
+        keep: Callable[[], object],
     ) -> None:
         super().__init__()
         self.rows: list[Progress] = []
-        self._minutes, self._watch, self._keep = minutes, watch, keep
+        self._pace, self._watch, self._keep = pace, watch, keep
+        self._are_told = pace.told_share > 0.0
         self._began = self._kept = time.monotonic()
         self._recent: deque[tuple[float, bool, bool, float]] = deque(maxlen=RECENT)
         self._episodes = 0
         self._reward = np.zeros(0)
+
+    @property
+    def left(self) -> float:
+        """The share of the training that is left, by time or by decisions, whichever is less."""
+        used = (time.monotonic() - self._began) / (60.0 * self._pace.minutes)
+        return max(1.0 - max(used, self.num_timesteps / self._pace.steps), 0.0)
+
+    def _on_rollout_start(self) -> None:
+        if self._are_told and 1.0 - self.left > self._pace.told_share:
+            self._are_told = False
+            self.training_env.env_method("infer_lines")
+
+    def _on_rollout_end(self) -> None:
+        if isinstance(self.model, PPO):
+            self.model.ent_coef = ENTROPY * self.left
 
     def _on_training_start(self) -> None:
         self._reward = np.zeros(self.training_env.num_envs)
@@ -192,7 +269,7 @@ class _Diary(BaseCallback):
         if now - self._kept > SAVE_EVERY_S:
             self._kept = now
             self._keep()
-        return now - self._began < 60.0 * self._minutes
+        return now - self._began < 60.0 * self._pace.minutes
 
     def _note(self, info: dict[str, Any], reward: float) -> None:
         end = info["end"]
