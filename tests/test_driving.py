@@ -82,8 +82,11 @@ def test_nobody_of_that_name_or_nobody_at_all(capsys: pytest.CaptureFixture[str]
         printed = capsys.readouterr()
         assert f"never seen in this run: {option} {name}" in printed.err
         json.loads(printed.out)
-        assert run(*words[:-2], option, ",") == 2
-        assert "expected" in capsys.readouterr().err
+    assert run(*words[:-2], "--drive", ",") == 2
+    assert "--drive ',': expected ID or ID@SECONDS" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):  # by argparse
+        run(*words[:-2], "--egos", ",")
+    assert "--egos: expected names parted by commas, found ','" in capsys.readouterr().err
     assert run(*words) == 2
     assert "--agent constant_speed drives nobody; add --drive" in capsys.readouterr().err
     for drive, said in (("a@nan", "ID or ID@SECONDS, found 'nan'"), ("a@1,a", "named twice")):
