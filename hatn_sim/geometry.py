@@ -85,17 +85,19 @@ def project_at(
     best_s: FloatArray = np.zeros(len(base))
     best_d, best_square = best_s, best_s
     for which, shift in enumerate((-1, 0)):
-        segment = np.clip(vertex + shift, 0, last)
-        start, end = vertices_xy_m[base + segment], vertices_xy_m[base + segment + 1]
-        along = end - start
+        segment = np.minimum(np.maximum(vertex + shift, 0), last)
+        start = vertices_xy_m.take(base + segment, axis=0)
+        along = vertices_xy_m.take(base + segment + 1, axis=0) - start
         offset = xy_m - start
-        length2 = np.maximum((along * along).sum(axis=1), 1e-12)
-        t = (offset * along).sum(axis=1) / length2
+        # By columns: a sum over two is slow in an array of many rows.
+        (along_x, along_y), (offset_x, offset_y) = along.T, offset.T
+        length2 = np.maximum(along_x * along_x + along_y * along_y, 1e-12)
+        t = (offset_x * along_x + offset_y * along_y) / length2
         t = np.where((segment > 0) & (t < 0), 0.0, t)
         t = np.where((segment < last) & (t > 1), 1.0, t)
-        away = offset - t[:, None] * along
-        square = (away * away).sum(axis=1)
-        side = along[:, 0] * offset[:, 1] - along[:, 1] * offset[:, 0]
+        away_x, away_y = offset_x - t * along_x, offset_y - t * along_y
+        square = away_x * away_x + away_y * away_y
+        side = along_x * offset_y - along_y * offset_x
         s: FloatArray = (segment.astype(np.float64) + t) * step_m
         d: FloatArray = np.sqrt(square) * np.where(side < 0, -1.0, 1.0)
         if which == 0:

@@ -266,12 +266,14 @@ class Road:
         """
         base, count = self.offset[line], self.count[line]
         last = count - 1
-        vertex = np.clip(np.rint(guess_s_m / LINE_STEP_M).astype(np.int64), 0, last)
+        vertex = np.rint(guess_s_m / LINE_STEP_M).astype(np.int64)
+        vertex = np.minimum(np.maximum(vertex, 0), last)
         for _ in range(steps):
-            away = xy_m - self.xy_m[base + vertex]
-            yaw = self.yaw_rad[base + vertex]
+            away = xy_m - self.xy_m.take(base + vertex, axis=0)
+            yaw = self.yaw_rad.take(base + vertex)
             ahead_m = away[:, 0] * np.cos(yaw) + away[:, 1] * np.sin(yaw)
-            vertex = np.clip(vertex + np.rint(ahead_m / LINE_STEP_M).astype(np.int64), 0, last)
+            vertex = vertex + np.rint(ahead_m / LINE_STEP_M).astype(np.int64)
+            vertex = np.minimum(np.maximum(vertex, 0), last)
         return project_at(self.xy_m, base, count, LINE_STEP_M, xy_m, vertex)
 
     def search(

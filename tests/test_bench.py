@@ -143,8 +143,22 @@ def test_environments_beside_those_of_highway_env(
     for one in told["speeds"]:
         ratio = one["frames_per_s"] / first["frames_per_s"]
         assert one["ratio"] == pytest.approx(ratio) and one["vehicles"] > 1.0
+        # 15 frames a second there, 10 here.
+        assert one["ratio_of_time"] == pytest.approx(ratio * (1.0 if one is first else 1.5))
     assert [one["what"] for one in told["resets"]] == ["no prediction", "hatn"]
     assert all(one["reset_ms"] > one["bare_ms"] > 0.0 for one in told["resets"])
+
+
+def test_the_demand_that_meets_a_number_of_vehicles() -> None:
+    asked: list[float] = []
+
+    def vehicles_at(scale: float) -> float:
+        asked.append(scale)
+        return 12.0 * scale
+
+    assert 12.0 * speed.scale_to_meet(vehicles_at, 9.0) == pytest.approx(9.0, rel=speed.CLOSE)
+    assert len(asked) < speed.TRIES, "it stops when it is near enough"
+    assert 5.9 < speed.scale_to_meet(vehicles_at, 1000.0) < 6.0, "as near as it gets"
 
 
 def test_the_scaling_table_has_a_row_for_all_sizes(capsys: pytest.CaptureFixture[str]) -> None:

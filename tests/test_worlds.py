@@ -10,7 +10,10 @@ import pytest
 
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Lines, Scene, SemanticGraphs, Tracks
+from hatn_sim.envs.scene_env import SceneEnv
+from hatn_sim.envs.vector_env import SceneVectorEnv
 from hatn_sim.hatn.predictor import Hatn
+from hatn_sim.loop import RELEASE_FRAMES
 from hatn_sim.perception import PerceptionState, begin, perceive, perceive_all
 from hatn_sim.resources import weights_dir
 from hatn_sim.road import Road
@@ -84,6 +87,27 @@ def test_predicted_at_once_as_one_by_one(runs: Runs) -> None:
             np.testing.assert_allclose(
                 getattr(found.graphs, name), getattr(expected.graphs, name), atol=1e-9, err_msg=name
             )
+
+
+def test_lines_of_those_side_by_side_stay_while_one_of_them_has_them() -> None:
+    """Reset one again and again: the lines that another is on are not let go of meanwhile."""
+    options = {"scene": "intersection4_allway", "frames_per_step": 1, "warm_up_s": 20.0}
+    vector = SceneVectorEnv(2, advice=False, masked_action="yield", **options)
+    try:
+        vector.reset(seed=1)
+        one, other = (env.unwrapped for env in vector.envs)
+        assert isinstance(one, SceneEnv) and isinstance(other, SceneEnv)
+        road = one._simulator.road
+        assert road is other._simulator.road
+        assert other._episode is not None and other._episode.mind is not None
+        held = other._episode.mind.state.perception.line_state.line
+        for _ in range(RELEASE_FRAMES):
+            road.touch(np.zeros(0, dtype=np.int64))
+        one._release_lines()
+        road.release(RELEASE_FRAMES, keep=0)
+        assert set(held[held >= 0].tolist()).isdisjoint(road._free) and len(held)
+    finally:
+        vector.close()
 
 
 def test_nobody_meets_anybody_of_another_world(runs: Runs) -> None:
