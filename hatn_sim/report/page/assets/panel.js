@@ -39,19 +39,18 @@ function makePanel(app) {
   const canvas = element('canvas', { class: 'speeds', role: 'img', 'aria-label': 'Speed of the ego over time: driven, predicted and advised' });
   const mark = (kind, words) => element('span', { class: 'item' }, [element('i', { class: kind }), words]);
   const advisedKey = mark('advised', 'advised');
+  const ahead = element('p', { class: 'soft' });
   const speeds = block('Speed, m/s', [canvas, element('p', { class: 'key' }, [
-    mark('driven', 'driven'), mark('predicted', 'predicted'), advisedKey])]);
+    mark('driven', 'driven'), mark('predicted', 'predicted'), advisedKey]), ahead]);
   const slotList = element('div'), noSlot = element('p', { class: 'soft' });
   const slots = block('Slots', [slotList, noSlot]);
   const alertList = element('div');
   const alerts = block('Alerts now', [alertList]);
-  const ahead = element('p'), notes = element('p', { class: 'soft' });
-  const modes = block('In 3 s, as predicted', [ahead, notes]);
   const hint = element('div', { class: 'hint' }, [
     element('p', { textContent: 'Click a vehicle to make it the ego, press N, or choose one below the map.' }),
     element('p', { class: 'soft', textContent: 'Then the gaps it may take are shaded by probability, and what it is told, and the speed it drives, stand here.' }),
   ]);
-  panel.replaceChildren(name, facts, hint, advice.host, alerts.host, speeds.host, slots.host, modes.host);
+  panel.replaceChildren(name, facts, hint, advice.host, alerts.host, speeds.host, slots.host);
   const slotRows = [], alertRows = [];
 
   function showAdvice(view) {
@@ -87,19 +86,19 @@ function makePanel(app) {
     alerts.host.hidden = !now.length;
   }
 
-  function showModes(view) {
+  function showAhead(view) {
     const count = view.ego ? view.ego.chunk.modeCount[view.ego.row] : 0;
-    modes.host.hidden = !count;
+    ahead.hidden = !count;
     if (!count) return;
     const flags = view.ego.chunk.flags[view.ego.row];
-    ahead.textContent = modesOf(view.ego).map(({ chance, points }) => {
+    const told = modesOf(view.ego).map(({ chance, points }) => {
       const end = points[points.length - 1];
-      return `${Math.hypot(end[0] - points[0][0], end[1] - points[0][1]).toFixed(1)} m with ${percent(chance)}`;
-    }).join('  \u00b7  ');
-    const told = [];
-    if (flags & FLAG.fallback) told.push('no line was found: it goes on as it goes');
-    if (flags & FLAG.adapted) told.push('adapted to this driver');
-    notes.textContent = told.join(' \u00b7 ');
+      return `${Math.hypot(end[0] - points[0][0], end[1] - points[0][1]).toFixed(1)} m (${percent(chance)})`;
+    });
+    const notes = [`in 3 s: ${told.join(', ')}`];
+    if (flags & FLAG.fallback) notes.push('no line was found: it goes on as it goes');
+    if (flags & FLAG.adapted) notes.push('adapted to this driver');
+    ahead.textContent = notes.join(' \u00b7 ');
   }
 
   return (view) => {
@@ -116,10 +115,10 @@ function makePanel(app) {
     showAlerts(view);
     speeds.host.hidden = !view.ego;
     if (view.ego) drawSpeeds(canvas, app, view);
+    showAhead(view);
     advisedKey.hidden = !view.advice?.speeds?.length;
     advisedKey.className = `item ${view.advice?.action || ''}`;
     showSlots(view);
-    showModes(view);
   };
 }
 

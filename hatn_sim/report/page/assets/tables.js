@@ -55,7 +55,7 @@ function makeLegend(app) {
   const item = (mark, words) => element('span', { class: 'item' }, [element('i', { class: mark }), words]);
   const items = [item('ego', 'ego')];
   if (app.head.predictor !== null) {
-    items.push(element('span', { class: 'item' }, ['slot taken with 0', element('i', { class: 'scale' }), '100 %']),
+    items.push(element('span', { class: 'item' }, ['slot, 0', element('i', { class: 'scale' }), '100 %']),
       item('predicted', 'predicted, 3 s'));
   }
   items.push(item('happened', 'what happened'), item('conflict', 'conflict'), item('alarm', 'alert'));
