@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from test_picture import FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
+from test_picture import CROSSING, FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
 
 from hatn_sim.cli import main
 from hatn_sim.datatypes import HORIZON_FRAMES
@@ -226,6 +226,28 @@ def test_reruns_own_tools_read_the_export(crossing: Run, tmp_path: Path) -> None
     for entity in ("/vehicles", "/predictions", "/conflicts", "/road/lanes", "/plots/vehicles"):
         assert entity in printed.stdout
     assert json.loads((crossing.path / "run.json").read_text())["frames"] == FRAMES
+
+
+@pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk (extra `viz`) is not installed")
+def test_vehicles_are_in_the_export_where_they_were(crossing: Run, tmp_path: Path) -> None:
+    dataframe = pytest.importorskip("rerun.dataframe")
+    words = ["export", str(crossing.path), "--format", "rrd", "--out", str(tmp_path)]
+    assert main(words) == 0
+    recording = dataframe.load_recording(tmp_path / "run.rrd")
+    rows = recording.view(index="frame", contents="/vehicles").select().read_all().to_pylist()
+    of_frame = {row["frame"]: row for row in rows}
+    key = {name.rpartition(":")[2]: name for name in rows[0] if ":" in name}
+    for frame in (0, 25, 69):
+        row = of_frame[frame]
+        assert row[key["labels"]] == ["eastbound", "northbound"]
+        along_m = [START_M[name] + 0.1 * SPEED_MPS * frame for name in START_M]
+        # Places are told from a whole metre of the map, which lies at the crossing here.
+        origin = np.floor(np.concatenate([lane.xy_m for lane in CROSSING]).mean(axis=0))
+        expected = np.array([[along_m[0], 0.0], [0.0, along_m[1]]]) - origin
+        np.testing.assert_allclose(np.array(row[key["centers"]])[:, :2], expected, atol=1e-4)
+        np.testing.assert_allclose(
+            2.0 * np.array(row[key["half_sizes"]])[:, :2], [[4.0, 1.8]] * 2, atol=1e-5
+        )
 
 
 # -- who goes when --------------------------------------------------------------------------------
