@@ -16,6 +16,8 @@ from hatn_sim.simulators.sumo_messages import Drawn, Mark, Paint, Picture, Ribbo
 
 START: Final = "--start"
 """The option, sumo-gui's alone, that tells a worker to open a window."""
+WINDOW_PX: Final = "1280,860"
+"""Wide and high; SUMO's own is half of it."""
 PREFIX: Final = "hatn-sim:"
 """Before the names of all that is drawn: a user's own polygons and points stay."""
 MARK_LAYER: Final = 120
@@ -37,7 +39,7 @@ def window_options(delay_ms: float) -> tuple[str, ...]:
         raise InputError(
             f"--gui: {trouble} to open SUMO's window on; run it on a desktop or under `xvfb-run -a`"
         )
-    return START, "true", "--delay", f"{delay_ms:g}"
+    return START, "true", "--delay", f"{delay_ms:g}", "--window-size", WINDOW_PX
 
 
 def display_trouble(display: str) -> str:
