@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -14,10 +15,15 @@ from PIL import Image
 from test_picture import FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
 
 from hatn_sim.cli import main
-from hatn_sim.datatypes import HORIZON_FRAMES
+from hatn_sim.datatypes import HORIZON_FRAMES, Score
 from hatn_sim.evaluation.comparison import write_curves
+from hatn_sim.evaluation.paper import TABLES
+from hatn_sim.evaluation.table import AblationRow, compare
+from hatn_sim.evaluation.table import write_csv as write_entries
+from hatn_sim.learn.adaptation_rows import AdaptationRow, Change, write_csv
 from hatn_sim.log import Run
-from hatn_sim.report.kept_numbers import read_curves, read_scores
+from hatn_sim.report.adaptation_file import read_adaptation
+from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
 from hatn_sim.report.space_time import free_spans, passing_time_s, space_time
 from hatn_sim.report.steps_figure import read_steps, write_steps
 from hatn_sim.report.table import write_scores
@@ -26,6 +32,8 @@ from hatn_sim.score.prediction import score_runs
 from hatn_sim.score.slot_calibration import reliability, slot_reliability
 from hatn_sim.score.steps import StepErrors, errors_by_step
 from hatn_sim.score.sweep import Operating
+
+AXES: Final = ("east", "north")
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +157,56 @@ def test_folders_that_lack_something(
     assert said in error and "Traceback" not in error
 
 
+def test_histograms_are_the_counts_they_were_made_of(tmp_path: Path) -> None:
+    path = tmp_path / "density.csv"
+    path.write_text(
+        "scene,criterion,interacting_vehicles,samples,share\n"
+        "a,all,0,0,0\na,all,1,2,0.5\na,all,2,2,0.5\na,conflict,0,1,1\n"
+    )
+    found = read_density(path)["a"]
+    assert found["all"].tolist() == [1, 1, 2, 2] and found["conflict"].tolist() == [0]
+    assert not len(found["30m"])
+
+
+def test_adaptation_is_sorted_by_the_figure_it_is_of(tmp_path: Path) -> None:
+    changes = {"ade2": Change(0.2, 0.1, None, None), "ade4": Change(1.0, 1.0, -0.1, 0.1)}
+    made = [
+        AdaptationRow("a", "hatn", method, layer, steps, 7, changes)
+        for method, layer, steps in (
+            ("mekf", "dense3", 1), ("mekf", "dense3", 3), ("rls", "dense3", 3),
+            ("mekf", "encoder_input", 3), ("mekf", "dense3", 3),
+        )
+    ]  # fmt: skip
+    write_csv(tmp_path / "adaptation.csv", made)
+    whole, by_layer = read_adaptation(tmp_path / "adaptation.csv")["hatn"]
+    assert [row.steps for row in whole["a"]] == [1, 3]
+    assert [row.layer for row in by_layer["a"]] == ["encoder_input", "dense3"]
+    for row in (*whole["a"], *by_layer["a"]):
+        assert (row.n, row.changes) == (7, changes)
+
+
+def test_the_papers_numbers_are_drawn_beside_ours(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (table,) = TABLES["sgn"]
+    score = Score("goal_error", "x", "intersection5", "all", "none", 0.8, "m", 9, 0.7, 0.9)
+    write_entries(tmp_path / "sgn.csv", compare(table, [AblationRow("sgn", "Ours", (score,))]))
+    ours = [one for one in read_beside(tmp_path / "sgn.csv") if one.row == "Ours"]
+    (told,) = [one for one in ours if one.measure == "goal_error"]
+    # The paper: 0.94 m at its intersection.
+    assert (told.paper, told.ours, told.low, told.high) == (0.94, 0.8, 0.7, 0.9)
+    assert main(["figures", str(tmp_path), "--formats", "png"]) == 0
+    assert Path(capsys.readouterr().out.strip()).name == "sgn.png"
+
+
+def test_a_table_without_numbers_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "lines.pdf").touch()
+    assert main(["figures", str(tmp_path)]) == 2
+    assert "samples that are not kept" in capsys.readouterr().err
+
+
 # -- films ----------------------------------------------------------------------------------------
 
 
@@ -226,6 +284,29 @@ def test_reruns_own_tools_read_the_export(crossing: Run, tmp_path: Path) -> None
     for entity in ("/vehicles", "/predictions", "/conflicts", "/road/lanes", "/plots/vehicles"):
         assert entity in printed.stdout
     assert json.loads((crossing.path / "run.json").read_text())["frames"] == FRAMES
+
+
+@pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk (extra `viz`) is not installed")
+def test_vehicles_are_in_the_export_where_they_were(crossing: Run, tmp_path: Path) -> None:
+    reader = pytest.importorskip("rerun.chunk").RrdReader
+    words = ["export", str(crossing.path), "--format", "rrd", "--out", str(tmp_path)]
+    assert main(words) == 0
+    told: dict[str, list[dict[str, Any]]] = {}
+    for chunk in reader(tmp_path / "run.rrd").stream().to_chunks():
+        told.setdefault(chunk.entity_path, []).extend(chunk.to_record_batch().to_pylist())
+    (road,) = told["/road"]
+    origin = [next(v[0] for k, v in road.items() if f"origin_{of}_m" in k) for of in AXES]
+    of_frame = {row["frame"]: row for row in told["/vehicles"]}
+    assert sorted(of_frame) == list(range(FRAMES))
+    for frame in (0, 25, 69):
+        row = of_frame[frame]
+        assert row["Boxes3D:labels"] == ["eastbound", "northbound"]
+        along_m = [START_M[name] + 0.1 * SPEED_MPS * frame for name in START_M]
+        expected = np.array([[along_m[0], 0.0], [0.0, along_m[1]]])
+        there = np.array(row["Boxes3D:centers"])[:, :2] + origin
+        np.testing.assert_allclose(there, expected, atol=1e-4)
+        sizes_m = 2.0 * np.array(row["Boxes3D:half_sizes"])[:, :2]
+        np.testing.assert_allclose(sizes_m, [[4.0, 1.8]] * 2, atol=1e-5)
 
 
 # -- who goes when --------------------------------------------------------------------------------

@@ -6,7 +6,10 @@ import gzip
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from hatn_sim.datatypes import (
     DT_S,
     HORIZON_FRAMES,
     Advice,
+    Alert,
     Frame,
     Gate,
     Kind,
@@ -31,7 +35,7 @@ from hatn_sim.log.road_file import ROAD_FILE, read_road, write_road
 from hatn_sim.perception import begin, perceive
 from hatn_sim.report.animation import around, draw_animation
 from hatn_sim.report.label_places import Label, place_labels
-from hatn_sim.report.moment import moment_at
+from hatn_sim.report.moment import alerts_at, moment_at
 from hatn_sim.report.picture import camera, choose_moment, draw_moment
 from hatn_sim.report.road_shapes import Box, road_shapes
 from hatn_sim.report.vehicle_shapes import outline, vehicle_parts
@@ -228,6 +232,20 @@ def test_forecasts_start_now_and_end_with_the_log(crossing: Run) -> None:
     np.testing.assert_allclose(
         forecast.predicted_xy_m[0, : FRAMES - 60], forecast.actual_xy_m, atol=1e-4
     )
+
+
+def test_alerts_stand_from_their_onset_to_their_end() -> None:
+    first, second = (Alert(k, "onset", "CONFLICT", 1.0, "a", "b", 0.5, "") for k in "12")
+    edges = (
+        (3, first),
+        (5, second),
+        (9, replace(first, edge="peak")),
+        (9, replace(first, edge="end")),
+    )
+    run: Any = SimpleNamespace(alerts=edges)
+    assert [alerts_at(run, frame) for frame in (2, 3, 5, 8, 9)] == [
+        (), (first,), (first, second), (first, second), (second,),
+    ]  # fmt: skip
 
 
 def test_wrong_frame_or_ego_of_a_moment(crossing: Run) -> None:

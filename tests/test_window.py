@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,7 +27,7 @@ from hatn_sim.report.window_shapes import (
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_messages import Picture
-from hatn_sim.simulators.sumo_window import PREFIX, Canvas, window_options
+from hatn_sim.simulators.sumo_window import PREFIX, Canvas, display_trouble, window_options
 from hatn_sim.traffic import open_traffic
 
 
@@ -128,6 +129,31 @@ def test_no_display_and_no_sumo_are_one_line_each(monkeypatch: pytest.MonkeyPatc
         window_options(100.0)
     with pytest.raises(InputError, match="--gui opens SUMO's window"):
         open_traffic(load_scenario("highway_merge"), 100.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("", "no DISPLAY"),
+        (":987654", "no X server answers on DISPLAY :987654"),
+        ("localhost:1.0", "no X server answers on DISPLAY localhost:1.0"),
+        ("screen", "names no display"),
+    ],
+)
+def test_a_display_that_does_not_answer_is_one_line(
+    name: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DISPLAY", name)
+    assert main(["run", "tjunction", "--gui", "--duration", "1", "--quiet"]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+def test_a_display_that_answers_is_one() -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
+        server.bind("\0/tmp/.X11-unix/X98765")
+        server.listen()
+        assert display_trouble(":98765.0") == ""
 
 
 @pytest.fixture

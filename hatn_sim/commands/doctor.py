@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import sys
 from dataclasses import asdict, dataclass
 from importlib import metadata, util
@@ -51,7 +50,7 @@ _CORE = (
     "pillow",
 )
 _EXTRAS = {
-    "eclipse-sumo": ("gui", "sumo-gui to watch, netconvert to build nets"),
+    "eclipse-sumo": ("gui", "netconvert to build nets"),
     "stable-baselines3": ("rl", "reinforcement learning"),
     "rerun-sdk": ("viz", "the rerun viewer"),
     "pytest": ("test", "the tests"),
@@ -173,10 +172,11 @@ def _weights() -> Check:
 
 
 def _display() -> Check:
-    there = sys.platform != "linux" or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
-    gui = shutil.which("sumo-gui")
-    found = ("a display" if there else "no DISPLAY") + (", sumo-gui" if gui else ", no sumo-gui")
-    remedy = "sumo-gui needs a display (xvfb-run gives one) and pip install 'hatn-sim[gui]'"
-    return Check("display", there and gui is not None, False, found, remedy)
+    """Whether `run --gui` has a screen; the window itself comes with libsumo."""
+    from hatn_sim.simulators.sumo_window import display_trouble
+
+    if sys.platform == "win32":
+        return Check("display", False, False, "libsumo has no window on Windows", "")
+    trouble = display_trouble(os.environ.get("DISPLAY", ""))
+    remedy = "`run --gui` opens SUMO's window on a desktop, or under `xvfb-run -a`"
+    return Check("display", not trouble, False, trouble or os.environ["DISPLAY"], remedy)

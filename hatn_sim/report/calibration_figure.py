@@ -58,7 +58,18 @@ def draw_calibration(found: Sequence[Reliability], where: str, paths: Sequence[P
         counts.set_xlim(0.0, 1.0)
         counts.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         counts.set_xlabel("said", fontsize=LABEL_PT, color=INK)
-        axes.legend(frameon=False, fontsize=NOTE_PT, labelcolor=INK, loc="lower right")
+        # Below the panel: over it, it would cover points.
+        handles, labels = axes.get_legend_handles_labels()
+        counts.legend(
+            handles,
+            labels,
+            frameon=False,
+            fontsize=NOTE_PT,
+            labelcolor=INK,
+            loc="upper left",
+            bbox_to_anchor=(0.0, -0.75),
+            borderaxespad=0.0,
+        )
     above[0].set_ylabel("came true", fontsize=LABEL_PT, color=INK)
     below[0].set_ylabel("samples", fontsize=LABEL_PT, color=INK)
     head_chart(figure, f"Calibration of slot probabilities: {where}", TITLE_PT)
@@ -79,9 +90,25 @@ def _points(axes: Axes, one: Reliability, colour: str) -> None:
         one.said[many], one.came_true[many], yerr=bars, fmt="none", ecolor=colour, elinewidth=0.9
     )
     name = f"{one.predictor.replace('_', ' ')}: ECE {100.0 * one.ece:.1f} %, n = {one.n.sum():,}"
-    axes.plot(one.said[many], one.came_true[many], "o", color=colour, ms=4.0, label=name)
     axes.plot(
-        one.said[few], one.came_true[few], "o", ms=3.2, mfc="white", mec=colour, mew=0.7, alpha=0.6
+        one.said[many],
+        one.came_true[many],
+        "o",
+        color=colour,
+        ms=4.0,
+        label=name,
+        clip_on=False,
+        zorder=3,
+    )
+    axes.plot(
+        one.said[few],
+        one.came_true[few],
+        "o",
+        ms=3.2,
+        mfc="white",
+        mec=colour,
+        mew=0.7,
+        clip_on=False,
     )
 
 

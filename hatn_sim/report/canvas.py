@@ -34,6 +34,7 @@ PREDICTED: Final = "#ff5a86"
 ACTUAL: Final = "#ffffff"
 CLOSED: Final = "#e5484d"
 OPEN: Final = "#46a758"
+ALERT: Final = "#d7263d"
 
 SCALE_BAR_M: Final = 5.0
 
@@ -116,6 +117,7 @@ def open_sheet(
     FigureCanvasAgg(figure)
     page = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     page.set_axis_off()
+    page.set_zorder(1)  # over the map: a warning stands there
     page.set(xlim=(0.0, style.width_in), ylim=(0.0, style.height_in))
     axes = figure.add_axes(
         (
@@ -263,6 +265,10 @@ def _draw_legend(sheet: Sheet) -> None:
     x += 13.4 * em
     page.plot([x], [y], "D", mfc=INK, mec="white", mew=0.9, ms=0.62 * size, zorder=5)
     page.text(x + 0.9 * em, y, "conflict", **text)
+
+    x += 6.2 * em
+    page.plot([x], [y], "o", mfc="white", mec=ALERT, mew=1.6, ms=0.95 * size, zorder=5)
+    page.text(x + 1.0 * em, y, "alert", **text)
 
     length_in = SCALE_BAR_M * sheet.points_per_m / 72.0
     right = style.width_in - style.margin_in

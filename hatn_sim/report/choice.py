@@ -26,15 +26,17 @@ def choose_moment(
 ) -> tuple[int, str]:
     """The most telling moment of a run and its ego: (frame, ego id).
 
-    Candidates are all egos that have to choose between at least two slots while they and all the
-    vehicles behind these slots stay in view for the next 3 s. Moments whose most probable slot is
-    the one that was taken in the end go before all others, so the picture shows a typical success;
-    errors of predicted paths play no part. Among them the sum of these decides, each between 0 and
-    1: that the second best slot has a real probability, that the best is clearly ahead, the number
-    of slots, the distance the ego travels in 3 s and that of the others, the room in the slots, a
-    conflict 6 to 30 m ahead, the share of the others near enough to fit into the picture, and
-    company nearby. Ties go to the earlier frame. Where nobody has a choice, the vehicle and frame
-    with the most company are taken.
+    Candidates are all egos that have to choose between at least two slots while they and all
+    the vehicles behind these slots stay in view for the next 3 s. Moments at which the ego is
+    advised or warned go before all others. Then those whose most probable slot is the one that
+    was taken in the end, so the picture shows a typical success; errors of predicted paths play
+    no part. Then those at which it is warned, and those whose most probable slot is the one
+    advised. Among them the sum of these decides, each between 0 and 1: that the second best
+    slot has a real probability, that the best is clearly ahead, the number of slots, the
+    distance the ego travels in 3 s and that of the others, the room in the slots, a conflict 6
+    to 30 m ahead, the share of the others near enough to fit into the picture, and company
+    nearby. Ties go to the earlier frame. Where nobody has a choice, the vehicle and frame with
+    the most company are taken.
 
     Args:
         run: the log.
@@ -72,6 +74,7 @@ def choose_moment(
         else:
             rows = np.flatnonzero(stays)
             value = _company(run, table, rows) + _travelled_m(run, table, rows).round(1) / 100.0
+            value += 1000.0 * _warned(run, table, rows)
     best = rows[int(value.argmax())]
     return int(table.frame[best]), run.ids[table.vehicle[best]]
 
@@ -149,8 +152,48 @@ def _telling(run: Run, table: PredictionTable, rows: IntArray, others: BoolArray
         np.minimum(_company(run, table, rows) / 8.0, 1.0),
         ((away_m < IN_PICTURE_M) * others).sum(axis=1) / count,
     )
-    value: FloatArray = np.sum(parts, axis=0) + 100.0 * right
-    return value
+    warned = _warned(run, table, rows)
+    advised = _advised(run, table, rows)
+    agrees = advised == np.take_along_axis(rear, chance.argmax(axis=1)[:, None], axis=1)[:, 0]
+    ranks = ((warned | (advised >= 0), 800.0), (right, 400.0), (warned, 200.0), (agrees, 100.0))
+    value: FloatArray = np.sum(parts, axis=0)
+    return value + sum(worth * holds for holds, worth in ranks)
+
+
+def _advised(run: Run, table: PredictionTable, rows: IntArray) -> IntArray:
+    """[R] the vehicle behind the slot that the ego is advised to take; itself: it is to yield.
+
+    -1 where nothing is advised.
+    """
+    number = {name: k for k, name in enumerate(run.ids)}
+    told: dict[str, list[tuple[int, int]]] = {}
+    for change in run.suggestions:
+        said = change.suggestion
+        behind = -1
+        if said is not None and said.action != "abstain":
+            behind = number.get(
+                (said.slot_id if said.action == "pass" else change.ego_id) or "", -1
+            )
+        told.setdefault(change.ego_id, []).append((change.frame, behind))
+    out = np.full(len(rows), -1, dtype=np.int64)
+    for ego_id, changes in told.items():
+        frames, behind = np.array(changes, dtype=np.int64).T
+        own = np.flatnonzero(table.vehicle[rows] == number[ego_id])
+        last = np.searchsorted(frames, table.frame[rows[own]], side="right") - 1
+        out[own] = np.where(last >= 0, behind[last], -1)
+    return out
+
+
+def _warned(run: Run, table: PredictionTable, rows: IntArray) -> BoolArray:
+    """[R] an alert stands that warns the ego."""
+    ends = {edge.alert_id: frame for frame, edge in run.alerts if edge.edge == "end"}
+    out = np.zeros(len(rows), dtype=np.bool_)
+    vehicle, at = table.vehicle[rows], table.frame[rows]
+    for frame, edge in run.alerts:
+        if edge.edge == "onset":
+            end = ends.get(edge.alert_id, run.frame_count)
+            out |= (vehicle == run.ids.index(edge.ego_id)) & (at >= frame) & (at < end)
+    return out
 
 
 def _travelled_m(run: Run, table: PredictionTable, rows: IntArray) -> FloatArray:

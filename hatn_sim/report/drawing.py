@@ -30,6 +30,8 @@ from hatn_sim.report.canvas import (
 )
 from hatn_sim.report.drawing_labels import draw_labels
 from hatn_sim.report.drawing_vehicles import draw_vehicles
+from hatn_sim.report.drawing_warning import draw_warning
+from hatn_sim.report.label_width import fitting_pt
 from hatn_sim.report.moment import Moment, moves
 from hatn_sim.report.vehicle_shapes import placed, rounded
 
@@ -63,6 +65,7 @@ def draw_moment_on(
         *_draw_conflicts(sheet, moment),
         *_draw_frame(sheet),
         *_draw_header(sheet, moment, caption),
+        *draw_warning(sheet, moment),
     ]
     labels, offsets = draw_labels(sheet, moment, labels_before)
     return [*artists, *labels], offsets
@@ -218,18 +221,18 @@ def _draw_header(sheet: Sheet, moment: Moment, caption: str) -> list[Artist]:
     style, page = sheet.style, sheet.page
     top = style.height_in
     said = moment.suggestion
-    if said is None:
-        title, colour = "No advice needed right now", SOFT_INK
-    else:
+    title, colour = "No advice needed right now", SOFT_INK
+    if said is not None:
         title, colour = f"\u201c{said.text}\u201d", INK
-    if said is not None and (age_s := moment.scene.time_s - said.time_s) > 0.25:
-        caption += f"  ·  advised {age_s:.1f} s before"
+        if (age_s := moment.scene.time_s - said.time_s) > 0.25:
+            caption += f"  ·  advised {age_s:.1f} s before"
+    wide_pt = 72.0 * (style.width_in - 2.0 * style.margin_in)
     return [
         page.text(
             style.margin_in,
             top - 0.36 * style.header_in,
             title,
-            fontsize=1.5 * style.font_pt,
+            fontsize=fitting_pt(title, 1.5 * style.font_pt, wide_pt, bold=True),
             fontweight="bold",
             color=colour,
             va="center",
@@ -238,7 +241,7 @@ def _draw_header(sheet: Sheet, moment: Moment, caption: str) -> list[Artist]:
             style.margin_in,
             top - 0.74 * style.header_in,
             caption,
-            fontsize=0.95 * style.font_pt,
+            fontsize=fitting_pt(caption, 0.95 * style.font_pt, wide_pt),
             color=SOFT_INK,
             va="center",
         ),

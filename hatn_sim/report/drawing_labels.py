@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.patches import FancyBboxPatch
-from matplotlib.textpath import TextPath
 
 from hatn_sim.datatypes import FloatArray
-from hatn_sim.report.canvas import INK, PROBABILITY, Sheet
+from hatn_sim.report.canvas import ALERT, INK, PROBABILITY, Sheet
+from hatn_sim.report.drawing_warning import warning_xy_m
 from hatn_sim.report.label_places import Label, place_labels
+from hatn_sim.report.label_width import width_pt
 from hatn_sim.report.moment import Moment
 from hatn_sim.report.vehicle_shapes import placed
 
@@ -21,7 +21,7 @@ from hatn_sim.report.vehicle_shapes import placed
 def draw_labels(
     sheet: Sheet, moment: Moment, before: Mapping[str, FloatArray] | None
 ) -> tuple[list[Artist], dict[str, FloatArray]]:
-    """A pill for every slot to choose from, and one that names the ego."""
+    """A pill for every slot to choose from, one that names the ego, and those that alerts name."""
     scene, style = moment.scene, sheet.style
     if moment.ego_id not in scene.ids:
         return [], {}
@@ -35,14 +35,18 @@ def draw_labels(
         what = "ego: yield" if rear_id == moment.ego_id else "pass before"
         words[rear_id] = f"{what} {100.0 * chance:.0f} %"
         anchors[rear_id] = scene.xy_m[scene.ids.index(rear_id)]
+    for name in sorted((moment.alerted & set(scene.ids)) - words.keys()):
+        words[name], colours[name] = "alert", ALERT
+        anchors[name] = scene.xy_m[scene.ids.index(name)]
     per_pt = 1.0 / sheet.points_per_m
     size_pt = 0.95 * style.font_pt
     labels: list[Label] = []
     for key, anchor in anchors.items():
         if sheet.box.near(anchor, 0.0):
-            wide_m = (_width_pt(words[key], size_pt) + 2.6 * size_pt) * per_pt
+            wide_m = (width_pt(words[key], size_pt) + 2.6 * size_pt) * per_pt
             labels.append(Label(key, anchor, (wide_m, 1.75 * size_pt * per_pt)))
-    centres = place_labels(labels, _obstacles(moment), sheet.box, before)
+    obstacles = np.concatenate((_obstacles(moment), warning_xy_m(sheet, moment)))
+    centres = place_labels(labels, obstacles, sheet.box, before)
     drawn: list[Artist] = []
     offsets: dict[str, FloatArray] = {}
     for label in labels:
@@ -50,11 +54,6 @@ def draw_labels(
         offsets[key] = centre - label.anchor_xy_m
         drawn += _draw_pill(sheet, label, centre, words[key], colours[key], size_pt)
     return drawn, offsets
-
-
-@lru_cache(maxsize=512)
-def _width_pt(words: str, size_pt: float) -> float:
-    return float(TextPath((0.0, 0.0), words, size=size_pt).get_extents().width)
 
 
 def _draw_pill(

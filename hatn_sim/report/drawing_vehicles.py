@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.path import Path as Outline
 
 from hatn_sim.datatypes import FloatArray, Kind
-from hatn_sim.report.canvas import ASPHALT, INK, PROBABILITY, Sheet, columns, mixed
+from hatn_sim.report.canvas import ALERT, ASPHALT, INK, PROBABILITY, Sheet, columns, mixed
 from hatn_sim.report.moment import Moment
 from hatn_sim.report.vehicle_shapes import (
     BODY,
@@ -34,7 +34,10 @@ FADED: Final = 0.3
 
 
 def draw_vehicles(sheet: Sheet, moment: Moment, blinking: bool) -> list[Artist]:
-    """Vehicles to scale: the ego in a white ring, those it meets in their slot's colour."""
+    """Vehicles to scale: the ego in a white ring, those it meets in their slot's colour.
+
+    Those that an alert names have a red one around it.
+    """
     scene, scale = moment.scene, sheet.points_per_m
     probability = moment.choice
     shadows: list[list[FloatArray]] = [[], [], []]
@@ -47,15 +50,21 @@ def draw_vehicles(sheet: Sheet, moment: Moment, blinking: bool) -> list[Artist]:
     for i in np.flatnonzero(sheet.box.near(scene.xy_m, 12.0)).tolist():
         at, yaw = scene.xy_m[i], float(scene.yaw_rad[i])
         length_m, width_m = float(scene.size_m[i, 0]), float(scene.size_m[i, 1])
-        involved = scene.ids[i] == moment.ego_id or scene.ids[i] in probability
+        alerted = scene.ids[i] in moment.alerted
+        involved = scene.ids[i] == moment.ego_id or scene.ids[i] in probability or alerted
         for layer, grow_m in zip(shadows, (0.28, 0.12, -0.04), strict=True):
             layer.append(placed(outline(length_m, width_m, grow_m), at + SHADOW_M, yaw))
+        if alerted:
+            halos.append(placed(outline(length_m, width_m, 1.16), at, yaw))
+            halo_colours.append("white")
+            halos.append(placed(outline(length_m, width_m, 1.04), at, yaw))
+            halo_colours.append(ALERT)
         if scene.ids[i] == moment.ego_id:
             halos.append(placed(outline(length_m, width_m, 0.62), at, yaw))
             halo_colours.append(INK)
             halos.append(placed(outline(length_m, width_m, 0.48), at, yaw))
             halo_colours.append("white")
-        elif involved:
+        elif scene.ids[i] in probability:
             halos.append(placed(outline(length_m, width_m, 0.34), at, yaw))
             halo_colours.append(PROBABILITY(probability[scene.ids[i]]))
         paint = scene.colour[i] / 255.0

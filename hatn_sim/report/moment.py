@@ -11,6 +11,7 @@ import numpy as np
 
 from hatn_sim.datatypes import (
     HORIZON_FRAMES,
+    Alert,
     FloatArray,
     Lines,
     Scene,
@@ -75,6 +76,7 @@ class Moment:
     slots: tuple[Slot, ...]  # the ego's own first
     forecasts: Mapping[str, Forecast]  # by vehicle
     suggestion: Suggestion | None  # the last one given, see its time
+    alerts: tuple[Alert, ...] = ()  # the onsets of those that stand, whomever they name
 
     @property
     def choice(self) -> dict[str, float]:
@@ -85,6 +87,16 @@ class Moment:
             if slot.in_focus and slot.probability is not None
         }
         return dict(sorted(told.items(), key=lambda item: item[1]))
+
+    @property
+    def alerted(self) -> set[str]:
+        """Whom alerts name."""
+        return {name for one in self.alerts for name in (one.ego_id, one.other_id)}
+
+    @property
+    def warning(self) -> Alert | None:
+        """The latest alert that warns the ego."""
+        return next((one for one in reversed(self.alerts) if one.ego_id == self.ego_id), None)
 
     @property
     def involved(self) -> set[str]:
@@ -119,6 +131,7 @@ def read_moments(run: Run, frames: Sequence[int], ego_id: str) -> Iterator[Momen
                 slots=_slots(run, table, state, frame, ego_id),
                 forecasts=_forecasts(run, table, frame),
                 suggestion=_suggestion(run, frame, ego_id),
+                alerts=alerts_at(run, frame),
             )
 
 
@@ -202,6 +215,19 @@ def _forecasts(run: Run, table: PredictionTable, frame: int) -> dict[str, Foreca
             actual_xy_m=actual_xy_m,
         )
     return out
+
+
+def alerts_at(run: Run, frame: int) -> tuple[Alert, ...]:
+    """The onsets of the alerts that stand at a frame, as they came."""
+    standing: dict[str, Alert] = {}
+    for at, edge in run.alerts:
+        if at > frame:
+            continue
+        if edge.edge == "onset":
+            standing[edge.alert_id] = edge
+        elif edge.edge == "end":
+            standing.pop(edge.alert_id, None)
+    return tuple(standing.values())
 
 
 def _suggestion(run: Run, frame: int, ego_id: str) -> Suggestion | None:

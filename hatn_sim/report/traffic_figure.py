@@ -110,7 +110,9 @@ def _advice(axes: Axes, alerts: Sequence[AlertInterval], events: Sequence[Safety
     for tier, (_, marker) in EVENTS.items():
         at = [event.start_s for event in events if event.tier == tier]
         row = [rows.index(tier)] * len(at)
-        axes.scatter(at, row, s=18, marker=marker, color=INK, linewidths=0.0, zorder=3)
+        axes.scatter(
+            at, row, s=18, marker=marker, color=INK, linewidths=0.0, zorder=3, clip_on=False
+        )
     axes.set_yticks(range(len(rows)), ["alert", *(words for words, _ in EVENTS.values())])
     axes.set_ylim(-0.6, len(rows) - 0.4)
     dress(axes, TICK_PT)

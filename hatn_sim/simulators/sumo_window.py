@@ -7,6 +7,7 @@ and nothing drawn here has a part in it. libsumo is handed in, not imported.
 from __future__ import annotations
 
 import os
+import socket
 import sys
 from typing import Any, Final
 
@@ -15,9 +16,14 @@ from hatn_sim.simulators.sumo_messages import Drawn, Mark, Paint, Picture, Ribbo
 
 START: Final = "--start"
 """The option, sumo-gui's alone, that tells a worker to open a window."""
+WINDOW_PX: Final = "1280,860"
+"""Wide and high; SUMO's own is half of it."""
 PREFIX: Final = "hatn-sim:"
 """Before the names of all that is drawn: a user's own polygons and points stay."""
 MARK_LAYER: Final = 120
+FIRST_PORT: Final = 6000
+"""Of X servers: display N listens at this one and N."""
+ANSWER_S: Final = 3.0
 FOLLOWED_WIDTH_M: Final = 120.0
 """Of the map, when the window begins to follow a vehicle."""
 
@@ -29,11 +35,41 @@ def window_options(delay_ms: float) -> tuple[str, ...]:
     """
     if sys.platform == "win32":
         raise InputError("--gui: libsumo has no window on Windows; use Linux or macOS")
-    if not os.environ.get("DISPLAY"):
+    if trouble := display_trouble(os.environ.get("DISPLAY", "")):
         raise InputError(
-            "--gui: no DISPLAY to open SUMO's window on; run it on a desktop or under `xvfb-run -a`"
+            f"--gui: {trouble} to open SUMO's window on; run it on a desktop or under `xvfb-run -a`"
         )
-    return START, "true", "--delay", f"{delay_ms:g}"
+    return START, "true", "--delay", f"{delay_ms:g}", "--window-size", WINDOW_PX
+
+
+def display_trouble(display: str) -> str:
+    """What is wrong with an X server of this name, in a few words; nothing: it answers.
+
+    SUMO itself ends the process, or waits, where none answers.
+    """
+    if not display:
+        return "no DISPLAY"
+    host, _, number = display.rpartition(":")
+    number = number.partition(".")[0]
+    if not number.isdigit():
+        return f"DISPLAY {display!r} names no display (expected one like :0)"
+    places: list[tuple[int, Any]] = []
+    if host.startswith("/"):  # macOS: the socket's own name, number and all
+        places.append((socket.AF_UNIX, display))
+    elif host in ("", "unix"):
+        places += [(socket.AF_UNIX, f"{start}/tmp/.X11-unix/X{number}") for start in ("\0", "")]
+    else:
+        places.append((socket.AF_INET, (host, FIRST_PORT + int(number))))
+    why = ""
+    for family, place in places:
+        try:
+            with socket.socket(family, socket.SOCK_STREAM) as there:
+                there.settimeout(ANSWER_S)
+                there.connect(place)
+            return ""
+        except OSError as error:
+            why = error.strerror or str(error)
+    return f"no X server answers on DISPLAY {display} ({why})"
 
 
 SUMO_DEFAULT_COLOUR: Final = (255, 255, 0, 255)
