@@ -42,6 +42,7 @@ class Layout:
     """The parts of a row, in their order."""
 
     sees_predictions: bool  # slot probabilities, predicted trajectories and their chances
+    knows_times: bool = True  # accelerations and `TIMES`; older policies do without
 
     @property
     def own(self) -> int:
@@ -49,13 +50,13 @@ class Layout:
 
     @property
     def slot(self) -> int:
-        """With the acceleration of who is behind it, and times."""
-        return len(SLOT) + 1 + len(TIMES) - (not self.sees_predictions)
+        known = 1 + len(TIMES) if self.knows_times else 0
+        return len(SLOT) + known - (not self.sees_predictions)
 
     @property
     def other(self) -> int:
-        """With its acceleration."""
-        return len(OTHER) + 1 + (MODES * (POINTS * 2 + 1) if self.sees_predictions else 0)
+        predicted = MODES * (POINTS * 2 + 1) if self.sees_predictions else 0
+        return len(OTHER) + self.knows_times + predicted
 
     @property
     def size(self) -> int:
@@ -83,10 +84,12 @@ def inputs_of(layout: Layout, now: Moment) -> np.ndarray:
     observation = now.observation
     own = np.delete(observation["ego"] / _OWN, TIME_LEFT)
     lawful = np.clip(now.lawful_mps2, -MOST_ALLOWED_MPS2, MOST_ALLOWED_MPS2) / SCALES["m/s2"]
-    of_slots = _of_slots(observation, now.gains_mps2)
-    times = slot_times_s(observation, of_slots) / SCALES["s"]
-    slots = np.column_stack((observation["slots"] / _SLOT, of_slots / SCALES["m/s2"], times))
-    others = np.column_stack((observation["vehicles"] / _OTHER, now.gains_mps2 / SCALES["m/s2"]))
+    slots, others = observation["slots"] / _SLOT, observation["vehicles"] / _OTHER
+    if layout.knows_times:
+        of_slots = _of_slots(observation, now.gains_mps2)
+        times = slot_times_s(observation, of_slots) / SCALES["s"]
+        slots = np.column_stack((slots, of_slots / SCALES["m/s2"], times))
+        others = np.column_stack((others, now.gains_mps2 / SCALES["m/s2"]))
     if layout.sees_predictions:
         paths = observation["trajectories"][1:].reshape(VEHICLES, -1) / SCALES["m"]
         others = np.hstack((others, paths, observation["mode_probability"][1:]))

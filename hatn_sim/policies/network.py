@@ -106,6 +106,7 @@ def save_network(path: Path, network: Network) -> None:
     card = dict(network.card) | {
         "format": FORMAT,
         "sees_predictions": network.layout.sees_predictions,
+        "knows_times": network.layout.knows_times,
         "levels_mps2": list(LEVELS_MPS2),
         "features": features(),
     }
@@ -119,7 +120,7 @@ def load_network(path: Path) -> Network:
     try:
         card = json.loads(card_path.read_text(encoding="utf-8"))
         found = {key: card[key] for key in ("format", "levels_mps2", "features")}
-        layout = Layout(bool(card["sees_predictions"]))
+        layout = Layout(bool(card["sees_predictions"]), bool(card.get("knows_times", False)))
         tensors = load(path.read_bytes())
     except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
         raise InputError(
