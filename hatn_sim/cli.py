@@ -107,6 +107,7 @@ def _make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
             description=module.__doc__,
             epilog=getattr(module, "EXAMPLES", None),
             formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,  # --predictor is no --predictors
         )
         if verb == asked:
             module.add_arguments(child)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from hatn_sim.datatypes import (
     Guided,
     Prediction,
     Predictor,
+    Route,
     Scene,
     Simulator,
     Suggestion,
@@ -95,19 +96,24 @@ def _perceived(memory: Any) -> PerceptionState | None:
     return perceived if isinstance(perceived, PerceptionState) else None
 
 
-def with_memory(state: AdviserState, memory: Any) -> AdviserState:
-    """The state when a predictor of this package has taken in one frame more."""
-    return replace(state, memory=memory, perception=_perceived(memory) or state.perception)
-
-
 def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState:
     """Take in a frame for which no advice is wanted."""
-    routes = frame.truth.routes if adviser.lines == "route" else None
-    with _named(f"predictor {adviser.predictor.name!r}", adviser.predictor, frame.scene):
+    routes = routes_told(adviser, frame)
+    with predictors_fault(adviser.predictor, frame.scene):
         memory = adviser.predictor.observe(state.memory, frame.scene, routes)
+    return taken_in(adviser, state, frame, memory)
+
+
+def routes_told(adviser: Adviser, frame: Frame) -> tuple[Route | None, ...] | None:
+    """The routes that the predictor is told of; None where lines are inferred."""
+    return frame.truth.routes if adviser.lines == "route" else None
+
+
+def taken_in(adviser: Adviser, state: AdviserState, frame: Frame, memory: Any) -> AdviserState:
+    """The state once the predictor's memory has a frame; perceived here where it perceives none."""
     seen = _perceived(memory)
     if seen is None and adviser.advises:
-        seen = perceive(state.perception, frame.scene, routes)
+        seen = perceive(state.perception, frame.scene, routes_told(adviser, frame))
     return replace(state, memory=memory, perception=seen or state.perception)
 
 
@@ -119,10 +125,15 @@ def tick(adviser: Adviser, state: AdviserState, frame: Frame) -> tuple[AdviserSt
 
 def foresee(adviser: Adviser, state: AdviserState, scene: Scene) -> Prediction:
     """The prediction from what was observed, the newest of it a scene; checked."""
-    with _named(f"predictor {adviser.predictor.name!r}", adviser.predictor, scene):
+    with predictors_fault(adviser.predictor, scene):
         prediction = adviser.predictor.predict(state.memory)
     check_prediction(adviser.predictor.name, prediction, scene)
     return prediction
+
+
+def predictors_fault(predictor: Predictor, scene: Scene) -> AbstractContextManager[None]:
+    """An exception of somebody's own predictor becomes one line that says where."""
+    return _named(f"predictor {predictor.name!r}", predictor, scene)
 
 
 @contextmanager

@@ -28,7 +28,11 @@ EXAMPLES = """examples:
 """
 STEPS: Final = 300
 ENV_STEPS: Final = 1500
-"""Of each environment: episodes differ, and a few are no measure of how many vehicles there are."""
+"""Of each kind, side by side of all together: episodes differ, and a few are no measure of how many
+vehicles there are."""
+
+FAR: Final = 0.05
+"""Vehicles that differ by more are not as many."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -171,7 +175,9 @@ def _environments(arguments: argparse.Namespace, scenario: Scenario) -> int:
             *(one.what, f"{one.vehicles:.1f}", f"{per_s:.0f}", f"x{one.ratio:.2f}"),
             *(f"{per_s * one.frame_s:.1f}", f"x{one.ratio_of_time:.2f}"),
         )
-    print("frames of the simulator a second, by turns in one run, with as many vehicles")
+    print("frames of the simulator a second, by turns in one run")
+    if any(abs(one.vehicles / beside.vehicles - 1.0) > FAR for one in speeds):
+        print("NOT of as many vehicles: no demand tried meets them; read rates beside the counts")
     print(f"a frame: {beside.frame_s:.3f} s in {BESIDE}, {alone.frame_s:.3f} s in all others")
     print(
         f"{scenario.name}: at {alone.scale:.2f} times its demand, {several.scale:.2f} side by side"

@@ -48,6 +48,14 @@ def share(text: str) -> float:
     return value
 
 
+def part(text: str) -> float:
+    """A part of a whole, 0 up to 1."""
+    value = _number(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"expected a share, 0 up to 1, found {text!r}")
+    return value
+
+
 def seconds_or_none(text: str) -> float:
     """A duration in seconds, 0 or more."""
     value = _number(text)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import hatn_sim
-from hatn_sim.commands.options import names, seconds, share, whole_number
+from hatn_sim.commands.options import names, part, seconds, whole_number
 
 if TYPE_CHECKING:
     from hatn_sim.policies.training import Progress
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--told-share",
-        type=share,
+        type=part,
         default=TOLD_SHARE,
         metavar="SHARE",
         help="of the training, at its beginning, in which everybody's route is told, which is "
@@ -123,7 +123,10 @@ def main(arguments: argparse.Namespace) -> int:
         raise InputError(f"--seed {arguments.seed}: expected 0 to {2**31 - 1}")
     rows = _train(arguments, out / f"{arguments.algorithm}.safetensors")
     if not rows:
-        print(f"{out}: stopped before ten episodes were over; give it more --minutes or --steps")
+        print(
+            f"{out}: stopped before ten episodes were over: weights, but no progress to be drawn; "
+            "give it more --minutes or --steps, and another --out"
+        )
         return 0
     _draw(arguments, rows)
     last = rows[-1]

@@ -38,4 +38,7 @@ for _name, _kwargs in SCENES.items():
         entry_point="hatn_sim.envs.scene_env:SceneEnv",
         vector_entry_point="hatn_sim.envs.vector_env:SceneVectorEnv",
         kwargs=_kwargs | ({"registered_as": _name} if _kwargs else {}),
+        # These check what they are given themselves; gymnasium's passive checker is of no use after
+        # a first reset that was refused.
+        disable_env_checker=True,
     )

@@ -25,7 +25,9 @@ from hatn_sim.loop import (
     check_prediction,
     foresee,
     observe,
-    with_memory,
+    predictors_fault,
+    routes_told,
+    taken_in,
 )
 from hatn_sim.predictors.find import load_predictor
 from hatn_sim.road import Road
@@ -35,7 +37,7 @@ NEAREST_FIRST: Final = 0.01
 
 
 @runtime_checkable
-class BatchPredictor(Protocol):
+class BatchPredictor(Predictor, Protocol):
     """A predictor that is faster for several memories at once than for one after another."""
 
     def observe_all(
@@ -130,7 +132,8 @@ def foresee_all(asked: Sequence[Asked]) -> list[Foreseen]:
     if not isinstance(predictor, BatchPredictor):
         return [_foreseen(one) for one in asked]
     minds = _glanced_together(predictor, asked)
-    predictions = predictor.predict_all([mind.state.memory for mind in minds])
+    with predictors_fault(predictor, asked[0][1][-1].scene):
+        predictions = predictor.predict_all([mind.state.memory for mind in minds])
     for (_, frames), prediction in zip(asked, predictions, strict=True):
         check_prediction(predictor.name, prediction, frames[-1].scene)
     return list(zip(minds, predictions, strict=True))
@@ -139,16 +142,16 @@ def foresee_all(asked: Sequence[Asked]) -> list[Foreseen]:
 def _glanced_together(predictor: BatchPredictor, asked: Sequence[Asked]) -> list[Mind]:
     """The minds with all their frames taken in, each frame by all who have one more."""
     minds = [mind for mind, _ in asked]
-    by_route = minds[0].adviser.lines == "route"
     for number in range(max(len(frames) for _, frames in asked)):
         some = {k: frames[number] for k, (_, frames) in enumerate(asked) if number < len(frames)}
-        memories = predictor.observe_all(
-            [minds[k].state.memory for k in some],
-            [frame.scene for frame in some.values()],
-            [frame.truth.routes for frame in some.values()] if by_route else None,
-        )
-        for k, memory in zip(some, memories, strict=True):
-            minds[k] = replace(minds[k], state=with_memory(minds[k].state, memory))
+        told = [routes_told(minds[k].adviser, frame) for k, frame in some.items()]
+        routes = [own for own in told if own is not None] or None  # all have one set of options
+        scenes = [frame.scene for frame in some.values()]
+        with predictors_fault(predictor, scenes[0]):
+            memories = predictor.observe_all([minds[k].state.memory for k in some], scenes, routes)
+        for (k, frame), memory in zip(some.items(), memories, strict=True):
+            state = taken_in(minds[k].adviser, minds[k].state, frame, memory)
+            minds[k] = replace(minds[k], state=state)
     return minds
 
 

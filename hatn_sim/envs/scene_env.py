@@ -236,11 +236,13 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
 
     def _release_lines(self) -> None:
         """Lets go of the reference lines that nobody on this road has been near for long."""
-        road = self._simulator.road
+        road, held = self._simulator.road, [np.zeros(0, np.int64)]
         for env in self._on_this_road:
             if env._episode is not None and env._episode.mind is not None:
-                road.touch(env._episode.mind.state.perception.line_state.line)
-        road.release(RELEASE_FRAMES, KEPT_LINES)
+                held.append(env._episode.mind.state.perception.line_state.line.ravel())
+        road.touch(np.concatenate(held))
+        # What others on this road drew since they last concluded is as young as their step.
+        road.release(RELEASE_FRAMES * len(self._on_this_road), KEPT_LINES)
 
     def _observation(self, episode: Episode) -> Observation:
         space = cast(gymnasium.spaces.Dict, self.observation_space)

@@ -131,20 +131,31 @@ def side_by_side(makers: Sequence[MakeEnv]) -> Generator[VecEnv]:
 
     Raises SimulatorError where one of the processes dies.
     """
-    envs = SubprocVecEnv([partial(_told, one) for one in makers], START)
+    envs: SubprocVecEnv | None = None
+    is_in_order = False
     try:
+        envs = SubprocVecEnv([partial(_told, one) for one in makers], START)
         yield envs
+        is_in_order = True
     except (EOFError, ConnectionError) as error:
         raise SimulatorError(
-            "train-policy: the process of an environment died; what was learnt up to the last "
-            "minute is kept"
+            "train-policy: the process of an environment died; what was learnt up to the last time "
+            "that weights were written is kept"
         ) from error
     finally:
-        if envs.waiting:  # nobody knows who has answered
-            for process in envs.processes:
-                process.terminate()
-        else:
-            envs.close()
+        if envs is not None:
+            _end(envs, is_in_order and not envs.waiting)
+
+
+def _end(envs: SubprocVecEnv, is_in_order: bool) -> None:
+    """Closes environments; where nobody knows who has answered, ends their processes."""
+    if is_in_order:
+        envs.close()
+        return
+    for process in envs.processes:
+        process.terminate()
+    for process in envs.processes:
+        process.join()
 
 
 def make_learner(algorithm: Algorithm, envs: VecEnv, layout: Layout, seed: int) -> BaseAlgorithm:
