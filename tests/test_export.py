@@ -210,7 +210,7 @@ def test_an_unfinished_run_is_written_as_far_as_it_goes(
 ) -> None:
     log(tmp_path / "run", driving(20), finished=False)
     assert main(["export", str(tmp_path / "run"), "--format", "fcd"]) == 0
-    assert "unfinished run: its 20 frames" in capsys.readouterr().err
+    assert "unfinished run: its first 2.0 s were written" in capsys.readouterr().err
 
 
 def test_what_cannot_be_exported_is_told(

@@ -41,19 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Export, and say how to read it."""
+    from hatn_sim.commands.reading import read_and_tell
     from hatn_sim.errors import InputError
-    from hatn_sim.log import read_run
 
-    run = read_run(arguments.run)
+    run = read_and_tell(arguments.run)
     out: Path = arguments.out or arguments.run / arguments.format
     if not run.frame_count:
         raise InputError(f"{arguments.run}: expected frames, found a run without any")
-    if not run.finished:
-        print(
-            f"hatn-sim: {arguments.run} is of an unfinished run: its {run.frame_count} frames "
-            "are written",
-            file=sys.stderr,
-        )
     if arguments.format == "rrd":
         from hatn_sim.report.rerun_file import rerun_or_error
 

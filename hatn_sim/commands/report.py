@@ -39,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Draw and say where."""
-    from hatn_sim.log import read_run
+    from hatn_sim.commands.reading import read_and_tell
 
-    run = read_run(arguments.run)
+    run = read_and_tell(arguments.run)
     out: Path = arguments.out or arguments.run
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -24,20 +24,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Score and print."""
-    import sys
 
     from hatn_sim.commands.console import make_console
-    from hatn_sim.log import read_run
+    from hatn_sim.commands.reading import read_and_tell
     from hatn_sim.report.assistance_table import assistance_table
     from hatn_sim.report.table import score_table, scores_json
     from hatn_sim.score.logged import assistance_scores
     from hatn_sim.score.prediction import score_runs
     from hatn_sim.score.samples import clustered_over
 
-    runs = [read_run(path) for path in arguments.runs]
-    for path, logged in zip(arguments.runs, runs, strict=True):
-        if not logged.finished:
-            print(f"hatn-sim: {path} is of an unfinished run", file=sys.stderr)
+    runs = [read_and_tell(path) for path in arguments.runs]
     scores, assistance = score_runs(runs), assistance_scores(runs)
     if arguments.json:
         print(scores_json([*scores, *assistance]))
