@@ -189,7 +189,7 @@ def make_learner(algorithm: Algorithm, envs: VecEnv, layout: Layout, seed: int) 
         learning_starts=1000,
         batch_size=128,
         train_freq=2,
-        gradient_steps=2 * envs.num_envs,
+        gradient_steps=envs.num_envs,
         target_update_interval=500,
         exploration_fraction=0.3,
         exploration_final_eps=0.03,

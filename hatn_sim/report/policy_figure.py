@@ -39,11 +39,11 @@ def draw_learning(
         above.axhline(seconds, color=SOFT_INK, linewidth=1.0, linestyle="--")
         above.annotate(
             f"{name} {seconds:.1f} s",
-            (1.0, seconds),
+            (0.0, seconds),  # where nothing has been learnt yet the curve is far above
             xycoords=("axes fraction", "data"),
-            xytext=(-2, -11),
+            xytext=(2, -11),
             textcoords="offset points",
-            ha="right",
+            ha="left",
             fontsize=8.5,
             color=INK,
         )
