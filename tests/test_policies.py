@@ -4,7 +4,11 @@ for the environment and the agent."""
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
+import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +23,7 @@ from hatn_sim.envs.action import FASTER_MPS2, SLOWER_MPS2
 from hatn_sim.envs.features import MODES, ON_ROAD, OTHER, OWN, POINTS, SLOT, VEHICLES
 from hatn_sim.envs.mind import glance, open_mind, think
 from hatn_sim.envs.observation import Ego, Observation, observe_slots
-from hatn_sim.errors import InputError
+from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.loop import Adviser, begin, tick
 from hatn_sim.policies.driver import PolicyAgent, observed
 from hatn_sim.policies.inputs import Layout, Moment, inputs_of
@@ -360,6 +364,47 @@ def test_what_is_learnt_drives_the_same_without_torch(algorithm: Any, steps: int
         ours = network.values(row)
         np.testing.assert_allclose(ours - ours.mean(), theirs - theirs.mean(), atol=1e-4)
     assert right >= 36
+
+
+class Dies(gymnasium.Env[Any, Any]):
+    """Its process ends without a word where it is told to."""
+
+    observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+    action_space = gymnasium.spaces.Discrete(2)
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._at("made")
+
+    def _at(self, place: str) -> None:
+        if place == self._where:
+            os._exit(3)
+
+    def reset(self, **_: Any) -> Any:
+        self._at("reset")
+        return np.zeros(2, np.float32), {}
+
+    def step(self, action: Any) -> Any:
+        self._at("step")
+        return np.zeros(2, np.float32), 0.0, False, False, {"end": None, "driven_s": 0.5}
+
+
+@pytest.mark.parametrize("where", ["made", "reset", "step"])
+def test_the_death_of_an_environments_process_is_one_error_and_the_end_of_all(where: str) -> None:
+    pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
+    from hatn_sim.policies.training import side_by_side
+
+    makers: Any = [partial(Dies, "never"), partial(Dies, where)]
+    with (
+        pytest.raises(SimulatorError, match="the process of an environment died"),
+        side_by_side(makers) as envs,
+    ):
+        envs.reset()
+        envs.step(np.zeros(2, np.int64))
+    deadline = time.monotonic() + 30.0
+    while multiprocessing.active_children() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not multiprocessing.active_children()
 
 
 # -- the agent ------------------------------------------------------------------------------------

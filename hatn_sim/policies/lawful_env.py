@@ -76,6 +76,19 @@ class LawfulLevels(gymnasium.Wrapper[Any, Any, Any, Any]):
         return inputs_of(self.layout, now)
 
 
+class BriefInfo(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Tells no more than a learner reads: all of it goes from process to process."""
+
+    def reset(self, **given: Any) -> tuple[np.ndarray, dict[str, Any]]:
+        row, _ = self.env.reset(**given)
+        return row, {}
+
+    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        row, reward, is_terminal, is_cut, info = self.env.step(action)
+        told = {"end": info["end"], "driven_s": info["driven_s"]}
+        return row, float(reward), is_terminal, is_cut, told
+
+
 def share_of(wanted_mps2: float) -> float:
     """An acceleration as an action of the form `acceleration`."""
     return wanted_mps2 / (FASTER_MPS2 if wanted_mps2 >= 0.0 else -SLOWER_MPS2)

@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import gymnasium
 import numpy as np
 import torch
 from stable_baselines3 import DQN, PPO
@@ -30,11 +29,12 @@ from hatn_sim.datatypes import MAX_NODES
 from hatn_sim.envs.features import VEHICLES
 from hatn_sim.errors import SimulatorError
 from hatn_sim.policies.inputs import Layout
+from hatn_sim.policies.lawful_env import BriefInfo, LawfulLevels
 from hatn_sim.policies.network import HEAD_WIDTH, LAYERS, SETS, WIDTH, Network, save_network
 from hatn_sim.whole_file import save_whole
 
 Algorithm = Literal["ppo", "dqn"]
-MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
+MakeEnv = Callable[[], LawfulLevels]
 HEAD: Final = [HEAD_WIDTH, HEAD_WIDTH]
 RECENT: Final = 50
 """Episodes that a row of the progress is the mean of."""
@@ -106,23 +106,10 @@ def _most(rows: Tensor, mask: Tensor) -> Tensor:
     return (rows * mask[..., None]).amax(dim=1)
 
 
-class Told(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Tells no more than a learner reads: all of it goes from process to process."""
-
-    def reset(self, **given: Any) -> tuple[np.ndarray, dict[str, Any]]:
-        row, _ = self.env.reset(**given)
-        return row, {}
-
-    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        row, reward, is_terminal, is_cut, info = self.env.step(action)
-        told = {"end": info["end"], "driven_s": info["driven_s"]}
-        return row, float(reward), is_terminal, is_cut, told
-
-
-def _told(make_env: MakeEnv) -> Told:
+def _brief(make_env: MakeEnv) -> BriefInfo:
     torch.set_num_threads(1)  # networks are small: more threads only wait for each other
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C is for who has begun all this
-    return Told(make_env())
+    return BriefInfo(make_env())
 
 
 @contextmanager
@@ -134,7 +121,7 @@ def side_by_side(makers: Sequence[MakeEnv]) -> Generator[VecEnv]:
     envs: SubprocVecEnv | None = None
     is_in_order = False
     try:
-        envs = SubprocVecEnv([partial(_told, one) for one in makers], START)
+        envs = SubprocVecEnv([partial(_brief, one) for one in makers], START)
         yield envs
         is_in_order = True
     except (EOFError, ConnectionError) as error:
