@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hatn_sim.datatypes import DT_S, Frame, Truth
-from hatn_sim.score.close_passes import close_passes
+from hatn_sim.score.close_passes import close_passes, shown_passes
 from hatn_sim.score.driven import Driven, driven_by, driven_from_arrays
 from hatn_sim.score.events import brakings, collisions, severe_events, vehicle_hours
 
@@ -257,6 +257,11 @@ def test_a_crossing_passed_closely_by_hand() -> None:
     assert event.start_s == pytest.approx(103.65, abs=0.11)
     far = ("a", straight(np.full(FRAMES, 10.0), 0.0, -60.0, NORTH))
     assert close_passes(drive(first, far)) == []
+    # People are shown those under 1.5 s alone: here 1.3 s, and 1.8 s where it comes 5 m later.
+    assert shown_passes(drive(first, second)) == [event]
+    later = ("a", straight(np.full(FRAMES, 10.0), 0.0, -45.0, NORTH))
+    assert len(close_passes(drive(first, later))) == 1
+    assert shown_passes(drive(first, later)) == []
 
 
 def test_followers_and_those_that_pass_beside_pass_nobody_closely() -> None:

@@ -46,7 +46,7 @@ def _space_time(run: Run, wish: Wish, paths: Sequence[Path]) -> None:
 
 def _traffic(run: Run, _: Wish, paths: Sequence[Path]) -> None:
     from hatn_sim.report.traffic_figure import draw_traffic
-    from hatn_sim.score.close_passes import close_passes
+    from hatn_sim.score.close_passes import shown_passes
     from hatn_sim.score.driven import driven_in
     from hatn_sim.score.events import severe_events
     from hatn_sim.score.logged import alerts_in
@@ -54,7 +54,7 @@ def _traffic(run: Run, _: Wish, paths: Sequence[Path]) -> None:
     if not len(run.ids):
         raise InputError(f"{run.path}: no vehicles in this run, nothing to draw")
     driven = driven_in(run)
-    events = [*severe_events(driven), *close_passes(driven)]
+    events = [*severe_events(driven), *shown_passes(driven)]
     draw_traffic(run, alerts_in(run), events, where(run), paths)
 
 

@@ -22,6 +22,8 @@ from hatn_sim.score.driven import Driven
 
 LONGEST_S: Final = 3.0
 """Longer encroachment times are no close pass, whatever is counted as one."""
+CLOSE_S: Final = 1.5
+"""What is shown and counted as T3."""
 ANGLE_RAD: Final = np.deg2rad(15.0)
 BACK_M: Final = 8.0
 """So far back it is asked whether the two came the same way ..."""
@@ -45,6 +47,11 @@ def close_passes(driven: Driven) -> list[SafetyEvent]:
         start_s = float(driven.time_s[driven.frame[later]])
         events.append(SafetyEvent("T3", first, second, start_s, "encroachment", apart_s))
     return sorted(events, key=lambda event: (event.start_s, event.first_id, event.second_id or ""))
+
+
+def shown_passes(driven: Driven) -> list[SafetyEvent]:
+    """Those under `CLOSE_S`: what people are shown as T3."""
+    return [one for one in close_passes(driven) if (one.encroachment_s or 0.0) < CLOSE_S]
 
 
 def _met(driven: Driven, boxes: Boxes, one: int, other: int) -> tuple[int, int] | None:

@@ -28,7 +28,7 @@ import numpy as np
 
 from hatn_sim.datatypes import DT_S, FloatArray, SafetyEvent
 from hatn_sim.score.attribution import foe_of_braking
-from hatn_sim.score.close_passes import close_passes
+from hatn_sim.score.close_passes import CLOSE_S, close_passes
 from hatn_sim.score.drive import CROSSED, Drive
 from hatn_sim.score.driven import Driven
 from hatn_sim.score.events import deceleration_mps2, severe_events, sustained_mps2
@@ -50,7 +50,6 @@ UNITS: Final = {
     "jerk_p95": "m/s3",
 }
 """Measure -> unit, in the order of the table."""
-CLOSE_S: Final = 1.5
 VERY_CLOSE_S: Final = 1.0
 STANDING_MPS: Final = 0.5
 BRAKES_MPS2: Final = 1.0

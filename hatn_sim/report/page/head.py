@@ -13,7 +13,7 @@ from hatn_sim.datatypes import Alert, Kind, SafetyEvent, Score
 from hatn_sim.log import Run
 from hatn_sim.report.page.tables import score_tables
 from hatn_sim.report.table import SCORES_FILE, notes
-from hatn_sim.score.close_passes import close_passes
+from hatn_sim.score.close_passes import shown_passes
 from hatn_sim.score.driven import driven_in
 from hatn_sim.score.events import severe_events
 
@@ -97,7 +97,7 @@ def events_of(run: Run) -> list[dict[str, Any]]:
     """What really went wrong: T1, T2 and T3, by start."""
     driven = driven_in(run)
     number = {name: index for index, name in enumerate(run.ids)}
-    found: list[SafetyEvent] = [*severe_events(driven), *close_passes(driven)]
+    found: list[SafetyEvent] = [*severe_events(driven), *shown_passes(driven)]
     return [
         {
             "tier": event.tier,
