@@ -304,6 +304,12 @@ def test_how_far_along_its_way() -> None:
         ({"scenne": "x"}, "unknown option 'scenne'; did you mean 'scene'"),
         ({"speed": 3}, "unknown option 'speed'; known: scene, tracks, map"),
         ({"scene": "roundabout-v9"}, "did you mean 'roundabout-v1'"),
+        ({"scene": "CartPole-v1"}, "'CartPole-v1' is no road environment of highway-env; those"),
+        ({"scene": "parking-v0"}, "'parking-v0' is no road environment of highway-env; those are"),
+        (
+            {"scene": str(STREET.with_suffix(".net.xml"))},
+            "folder of a run; a net alone has no traffic, name the .sumocfg that runs it",
+        ),
         ({"scene": str(STREET), "density": "heavy"}, "density heavy is for scenes with a scenario"),
         ({"tracks": __file__}, "they were driven on: add map='FILE'"),
         ({"scene": "intersection5", "predictor": "hatm"}, "(your own: predictor='module:Class')"),
