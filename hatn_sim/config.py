@@ -126,9 +126,12 @@ def load_scenario(
     if path.suffix == ".toml":
         return _load_toml(path, density, risk)
     if path.exists():
+        hint = "recorded tracks are given with --tracks"
+        if path.name.endswith((".net.xml", ".net.xml.gz")):
+            hint = "a net alone has no traffic, name the .sumocfg that runs it"
         raise InputError(
             f"{path}: expected the name of a scene, a scenario.toml, a .sumocfg or the folder of "
-            "a run; recorded tracks are given with --tracks"
+            f"a run; {hint}"
         )
     raise InputError(f"unknown scene {name_or_path!r}{nearest(name_or_path, shipped)}")
 

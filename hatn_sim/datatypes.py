@@ -40,6 +40,8 @@ HORIZON_FRAMES = 30
 """Predicted frames: 3 s."""
 MAX_NODES = 8
 """Nodes of a semantic graph, the ego's own included (M_max)."""
+PEDESTRIAN_PREFIX = "person:"
+"""Persons and vehicles of SUMO may bear the same name; in a scene no two road users may."""
 
 
 class Kind(IntEnum):

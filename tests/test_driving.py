@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hatn_sim import cli
-from hatn_sim.errors import nearest
+from hatn_sim.commands.run_names import check_routes
+from hatn_sim.config import load_scenario
+from hatn_sim.errors import InputError, nearest
 from hatn_sim.log import Run, read_run
 from hatn_sim.resources import find_scenarios
 
 QUICK = ("--predictor", "constant_velocity", "--quiet", "--no-picture", "--json")
 NET = find_scenarios()["tjunction"].with_name("tjunction.net.xml")
+NETS = Path(__file__).parent / "nets"
 AGENTS = """
 from hatn_sim.datatypes import Command
 
@@ -92,6 +96,25 @@ def test_nobody_of_that_name_or_nobody_at_all(capsys: pytest.CaptureFixture[str]
     for drive, said in (("a@nan", "ID or ID@SECONDS, found 'nan'"), ("a@1,a", "named twice")):
         assert run(*words, "--drive", drive) == 2
         assert said in capsys.readouterr().err
+
+
+def test_names_are_refused_only_where_all_are_known(here: Path) -> None:
+    def checked(scene: Path, egos: str | None, watched: str | None) -> None:
+        names = None if egos is None else (egos,)
+        given = Namespace(egos=names, drive=None, ego=watched)
+        check_routes(given, load_scenario(str(scene)))
+
+    # Its flow of persons is `g`; SUMO calls the first of them g.0, and a scene person:g.0.
+    street = NETS / "street.sumocfg"
+    checked(street, None, "person:g.0")
+    for egos, watched in ((None, "g.0"), ("person:g.0", None), ("nobody", "person:g.0")):
+        with pytest.raises(InputError, match="no vehicle called"):
+            checked(street, egos, watched)
+    # A state brings vehicles that no route file has.
+    loaded = here / "loaded.sumocfg"
+    words = street.read_text().replace('"street.', f'"{NETS}/street.')
+    loaded.write_text(words.replace("</input>", '<load-state value="state.xml"/></input>'))
+    checked(loaded, "nobody", "nobody")
 
 
 @pytest.mark.parametrize(

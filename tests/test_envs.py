@@ -56,6 +56,7 @@ from hatn_sim.envs.observation import (
 from hatn_sim.envs.options import RewardWeights, read_options
 from hatn_sim.envs.reward import terms_of
 from hatn_sim.envs.scene_env import SceneEnv
+from hatn_sim.envs.seeds import number_of
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.resources import scenarios_dir
@@ -303,6 +304,12 @@ def test_how_far_along_its_way() -> None:
         ({"scenne": "x"}, "unknown option 'scenne'; did you mean 'scene'"),
         ({"speed": 3}, "unknown option 'speed'; known: scene, tracks, map"),
         ({"scene": "roundabout-v9"}, "did you mean 'roundabout-v1'"),
+        ({"scene": "CartPole-v1"}, "'CartPole-v1' is no road environment of highway-env; those"),
+        ({"scene": "parking-v0"}, "'parking-v0' is no road environment of highway-env; those are"),
+        (
+            {"scene": str(STREET.with_suffix(".net.xml"))},
+            "folder of a run; a net alone has no traffic, name the .sumocfg that runs it",
+        ),
         ({"scene": str(STREET), "density": "heavy"}, "density heavy is for scenes with a scenario"),
         ({"tracks": __file__}, "they were driven on: add map='FILE'"),
         ({"scene": "intersection5", "predictor": "hatm"}, "(your own: predictor='module:Class')"),
@@ -475,6 +482,22 @@ def test_the_seed_told_repeats_an_episode_that_was_drawn(make: Any) -> None:
     observation, info = one.reset()
     again, same_info = other.reset(seed=info["seed"])
     assert same(observation, again) and same(info, same_info)
+
+
+def test_seeds_that_sumo_does_not_take_have_episodes_of_their_own(make: Any) -> None:
+    small = (0, 1, 2**31 - 1)
+    assert [number_of(seed) for seed in small] == list(small)
+    large = {k + 2**power for power in (31, 32, 40) for k in range(1000)}
+    numbers = {number_of(seed) for seed in large}
+    assert len(numbers) == len(large) == 3000 and min(numbers) >= 0 and max(numbers) < 2**31
+    env = make(**CROSSING)
+    observation, info = env.reset(seed=2**40)
+    assert info["seed"] not in (0, 2**40)
+    other, _ = env.reset(seed=2**40 + 1)
+    assert not same(observation, other)
+    for seed in (2**40, info["seed"]):
+        again, same_info = env.reset(seed=seed)
+        assert same(observation, again) and same_info["seed"] == info["seed"]
 
 
 @pytest.mark.slow

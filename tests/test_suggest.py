@@ -220,6 +220,45 @@ def test_a_pass_names_the_leader_too() -> None:
     assert found.text == "Brake hard for the lorry ahead; then pass before the car from the left"
 
 
+@pytest.mark.parametrize(
+    ("speed_mps", "kind", "expected"),
+    [
+        (
+            0.0,
+            Kind.CAR,
+            "Brake hard: the car from the right stands; then yield to another car from the right",
+        ),
+        (
+            1.0,
+            Kind.CAR,
+            "Brake hard for the car from the right; then yield to another car from the right",
+        ),
+        (
+            1.0,
+            Kind.LORRY,
+            "Brake hard for the car from the right; then yield to the lorry from the right",
+        ),
+    ],
+)
+def test_two_of_the_same_name_are_told_apart(speed_mps: float, kind: Kind, expected: str) -> None:
+    # One has come from the left and is in the way with its tail, half across, 2.5 m before the
+    # ego's nose. The other comes from the right on a further street.
+    road = Road([*crossing_lanes(), lane("east_west", [(100, 7), (-100, 7)], is_connection=True)])
+    vehicles = {
+        "ego": (0.0, -6.0, NORTH, 6.0),
+        "other": (16.0, 7.0, np.pi, 8.0),
+        "across": (2.5, 0.0, 0.0, speed_mps),
+    }
+    scene = scene_of(0.0, vehicles)
+    scene.kind[1] = kind
+    scene, prediction = moment_of(road, scene, {"ego": [0.9, 0.1]})
+    state = SuggestionState({"ego": Told("ego", "other", "yield", True)})
+    _, (found,) = suggest(state, road, scene, prediction, frozenset({"ego"}))
+    assert (found.action, found.slot_id) == ("yield", "other")
+    # At 6 m/s it takes 6^2 / (2 * 2.5) = 7.2 m/s^2 to stop before the one that is in the way.
+    assert found.text == expected
+
+
 def test_a_leader_is_ahead_whatever_way_the_lane_bends() -> None:
     # On the quarter circle of the left turn, 12 m ahead of the ego and 45 degrees to its left.
     scene = scene_of(0.0, {"ego": (-8.0, 0.0, 0.0, 8.0), "lead": (0.0, 8.0, NORTH, 0.0)})

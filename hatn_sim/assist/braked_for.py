@@ -13,22 +13,29 @@ from hatn_sim.assist.choice import STANDING_MPS, Chosen
 from hatn_sim.assist.options import Options
 from hatn_sim.assist.outlook import Outlook
 from hatn_sim.assist.profile import LEADER_ASKS, hardest_asked
-from hatn_sim.assist.words import AT_ONCE, LINE, SOON_FRAMES, because, names
+from hatn_sim.assist.words import AT_ONCE, LINE, SOON_FRAMES, another, because, names
 from hatn_sim.datatypes import DT_S, BoolArray, IntArray
 
 
 def braked_for_first(
-    outlook: Outlook, row: IntArray, options: Options, chosen: Chosen, brakes: Sequence[str]
-) -> list[str]:
-    """What egos [R] are to brake hard for before they do as advised, in words; "": nothing else.
+    outlook: Outlook,
+    row: IntArray,
+    options: Options,
+    chosen: Chosen,
+    brakes: Sequence[str],
+    called: Sequence[str],
+) -> tuple[list[str], list[str]]:
+    """What egos [R] are to brake hard for before they do as advised, in words ("": nothing else),
+    and the names [R] of those whom the advice is about: another one, after one of the same name.
 
-    `brakes` [R] is what `braking` makes of their profiles.
+    `brakes` [R] is what `braking` makes of their profiles, `called` [R] what `names` makes of those
+    whom the advice is about.
     """
-    said = [""] * len(row)
+    said, after = [""] * len(row), list(called)
     hard = np.array([one in AT_ONCE for one in brakes], dtype=np.bool_)
     told = np.flatnonzero(hard & chosen.speaks)
     if not len(told):
-        return said
+        return said, after
     graphs, scene = outlook.graphs, outlook.scene
     who = _asks(outlook, row, options, chosen, told)
     vehicle, ahead = np.maximum(who, 0), who == graphs.leader[row[told]]
@@ -38,8 +45,11 @@ def braked_for_first(
         if who[place] < 0:
             said[told[place]] = because(LINE, stands=False)
         elif not let_go[place]:
-            said[told[place]] = because(name, bool(stands[place]))
-    return said
+            of = int(told[place])
+            said[of] = because(name, bool(stands[place]))
+            if name == called[of] and who[place] != chosen.other[of]:
+                after[of] = another(name)
+    return said, after
 
 
 def _asks(

@@ -133,10 +133,12 @@ def _suggestions(
     mean_mps, speeds = profiles.mean_mps(arrival), profiles.tick_speed_mps()
     ego, other = graphs.ego[row], chosen.other
     brakes = braking(scene.speed_mps[ego], speeds)
+    called = names(scene, ego, other)
+    firsts, called = braked_for_first(outlook, row, options, chosen, brakes, called)
     columns = zip(
         ego.tolist(),
         other.tolist(),
-        names(scene, ego, other),
+        called,
         np.where(chosen.speaks, np.where(goes, "pass", "yield"), "abstain").tolist(),
         likely.chances.of[rows, chosen.slot].tolist(),
         likely.chances.margin(chosen.slot).tolist(),
@@ -145,7 +147,7 @@ def _suggestions(
         chosen.feasible.tolist(),
         options.let_go.sum(axis=1).tolist(),
         brakes,
-        braked_for_first(outlook, row, options, chosen, brakes),
+        firsts,
         [Why(one).name.lower() for one in chosen.why.tolist()],
         np.round(speeds, 3).tolist(),
         strict=True,

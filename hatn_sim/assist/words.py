@@ -116,6 +116,11 @@ def because(who: str, stands: bool) -> str:
     return f": {who} stands" if stands else f" for {who}"
 
 
+def another(who: str) -> str:
+    """What somebody is called after somebody else of the same name: another car from the left."""
+    return "another" + who.removeprefix("the")
+
+
 LINE: Final = "the line ahead"
 AT_ONCE: Final = (HARD_NOW, STOP_NOW)
 _NOW: Final = {HARD_NOW: "Brake hard", STOP_NOW: "Stop"}

@@ -27,13 +27,17 @@ def driven(arguments: argparse.Namespace) -> dict[str, float | None]:
 def check_routes(arguments: argparse.Namespace, scenario: Scenario) -> None:
     """Raises InputError for a name that the scene's route files rule out.
 
-    Which vehicle of a flow comes, and whom highway-env makes, is seen in the run alone.
+    Which vehicle of a flow comes, and whom highway-env or a loaded state brings, is seen in the run
+    alone; so are persons, whom a window may follow.
     """
+    from hatn_sim.datatypes import PEDESTRIAN_PREFIX
     from hatn_sim.errors import InputError, nearest
     from hatn_sim.simulators.sumo_demand import coming
 
     known = coming(scenario)
     for option, name in _named(arguments):
+        if option == WATCHED and name.startswith(PEDESTRIAN_PREFIX):
+            continue  # persons can be watched, and vehicles alone are known
         if known is not None and not known[0](name):
             raise InputError(
                 f"{option}: no vehicle called {name!r} is in the route files of "

@@ -12,6 +12,7 @@ from gymnasium.spaces import Box, Dict, Space
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, MAX_NODES, FloatArray
 from hatn_sim.envs.errors import OptionError
+from hatn_sim.graph import FREE_M
 
 VEHICLES: Final = 15
 """The nearest others."""
@@ -166,13 +167,14 @@ def observation_table() -> str:
             "",
             f"(from {len(OWN)} on: only in the form `slots`)",
             "",
-            f"`vehicles` [{VEHICLES}, {len(OTHER)}], the nearest first, `vehicle_mask` "
-            f"[{VEHICLES}]: 1 where there is one",
+            f"`vehicles` [{VEHICLES}, {len(OTHER)}], the nearest first of those whose centres are "
+            f"within {REACH_M:g} m, `vehicle_mask` [{VEHICLES}]: 1 where there is one",
             "",
             *head,
             *_rows(OTHER),
             "",
-            f"`slots` [{MAX_NODES}, {len(SLOT)}], 0 is to yield, `slot_mask` [{MAX_NODES}]",
+            f"`slots` [{MAX_NODES}, {len(SLOT)}], 0 is to yield, `slot_mask` [{MAX_NODES}]; where "
+            f"there is no conflict, 0 is measured to the point {FREE_M:g} m ahead on the line",
             "",
             *head,
             *_rows(SLOT),

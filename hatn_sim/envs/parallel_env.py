@@ -26,6 +26,7 @@ from hatn_sim.envs.mind import Mind, Thought, glance, open_mind, predictor_of, t
 from hatn_sim.envs.observation import Observation
 from hatn_sim.envs.options import read_options
 from hatn_sim.envs.reward import Terms
+from hatn_sim.envs.seeds import number_of
 from hatn_sim.envs.shown import info_of, observation_of, slots_now
 from hatn_sim.envs.traffic import scenario_of, warm_up_s
 from hatn_sim.errors import nearest
@@ -129,6 +130,8 @@ class SceneParallelEnv(ParallelEnv[str, Observation, Any]):
     ) -> tuple[dict[str, Observation], _Infos]:
         """A new episode, of this seed or of one drawn from the environment's random numbers.
 
+        Seeds are taken as by `SceneEnv.reset`.
+
         Raises EgoError where not all egos come, OptionError where the scene has no place for them;
         else as the simulator's `reset`.
         """
@@ -136,7 +139,7 @@ class SceneParallelEnv(ParallelEnv[str, Observation, Any]):
         if seed is not None:
             self._random = np.random.default_rng(seed)
         drawn = int(self._random.integers(MAX_SEED + 1))
-        number = drawn if seed is None else seed % (MAX_SEED + 1)
+        number = drawn if seed is None else number_of(seed)
         names, frames = begin_together(
             self._simulator,
             number,

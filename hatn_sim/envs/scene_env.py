@@ -22,6 +22,7 @@ from hatn_sim.envs.observation import (
 )
 from hatn_sim.envs.options import read_options
 from hatn_sim.envs.reward import Terms
+from hatn_sim.envs.seeds import number_of
 from hatn_sim.envs.shown import info_of, observation_of, slots_now
 from hatn_sim.envs.traffic import check_scene, ego_of, scenario_of, warm_up_s
 from hatn_sim.envs.turns import Turn, taken
@@ -100,6 +101,9 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Reset:
         """A new episode, of this seed or of one drawn from the environment's random numbers.
 
+        Any seed from 0 on has an episode of its own; `info["seed"]` is what the simulator was given
+        for it (see `seeds.number_of`), and repeats it.
+
         Raises EgoError where the ego never comes, OptionError where anything is in `options`; else
         as the simulator's `reset`.
         """
@@ -116,7 +120,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         super().reset(seed=seed)
         self._episode = None
         drawn = int(self.np_random.integers(MAX_SEED + 1))
-        number = drawn if seed is None else seed % (MAX_SEED + 1)
+        number = drawn if seed is None else number_of(seed)
         yield None
         ego_id, frames = begin_episode(
             self._simulator,

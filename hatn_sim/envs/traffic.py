@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import gymnasium
+
 from hatn_sim.config import HighwaySource, ReplaySource, Scenario, load_scenario, load_tracks
 from hatn_sim.envs.errors import EgoError, OptionError, in_python
 from hatn_sim.envs.options import EnvOptions
@@ -87,6 +89,11 @@ def _named(options: EnvOptions) -> Scenario:
         highway = _of_highway()
         if scene not in highway:
             if str(error).startswith("unknown scene"):
+                if scene in gymnasium.registry:
+                    raise OptionError(
+                        f"scene: {scene!r} is no road environment of highway-env; those are "
+                        + ", ".join(highway)
+                    ) from None
                 hint = nearest(scene, (*find_scenarios(), *highway))
                 raise OptionError(f"scene: unknown scene {scene!r}{hint}") from None
             raise OptionError(f"scene: {in_python(error)}") from None

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
-from hatn_sim.datatypes import FloatArray, Kind
+from hatn_sim.datatypes import DT_S, FloatArray, Kind
 from hatn_sim.report.canvas import INK, SOFT_INK
 from hatn_sim.report.case_cast import BLACK
 from hatn_sim.report.figures import (
@@ -98,7 +98,7 @@ def _strand(axes: Axes, story: SpaceTime, strand: Strand, look: dict[str, Any]) 
     axes.plot(time_s, strand.s_m, **look)
     for told in strand.forecasts:
         count = told.s_m.shape[1]
-        ahead_s = story.run.times_s[told.frame] + 0.1 * np.arange(count)
+        ahead_s = story.run.times_s[told.frame] + DT_S * np.arange(count)
         if told.frame != story.frame:
             best = told.s_m[int(told.chance.argmax())]
             axes.plot(ahead_s, best, color=colour, lw=0.6, ls=":", alpha=FAINT)

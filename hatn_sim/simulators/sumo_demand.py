@@ -38,8 +38,8 @@ def coming(scenario: Scenario) -> tuple[Callable[[str], bool], tuple[str, ...]] 
     Vehicles of a flow are told by it and a number: `north.12`; so are the further ones of a vehicle
     that SUMO's --scale multiplies.
     """
-    if not is_of_sumo(scenario):
-        return None
+    if not is_of_sumo(scenario) or "load-state" in read_sumocfg(scenario.config_path):
+        return None  # a state has vehicles of its own
     names, flows = set[str](), set[str]()
     try:
         for path in named_files(scenario.config_path):

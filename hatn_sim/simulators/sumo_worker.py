@@ -18,7 +18,7 @@ from typing import Any
 import libsumo
 import numpy as np
 
-from hatn_sim.datatypes import Kind
+from hatn_sim.datatypes import PEDESTRIAN_PREFIX, Kind
 from hatn_sim.simulators.sumo_branch import Branches
 from hatn_sim.simulators.sumo_foes import FoeReader
 from hatn_sim.simulators.sumo_lane_table import read_lane_table
@@ -50,9 +50,6 @@ from hatn_sim.simulators.sumo_rows import (
 )
 from hatn_sim.simulators.sumo_serving import serve
 from hatn_sim.simulators.sumo_window import START, SUMO_DEFAULT_COLOUR, Canvas
-
-PEDESTRIAN_PREFIX = "person:"
-"""Persons and vehicles may bear the same name; in a scene no two road users may."""
 
 
 class Simulation:

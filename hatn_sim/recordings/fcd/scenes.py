@@ -9,13 +9,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from hatn_sim.datatypes import FloatArray, IntArray, Kind, Scene
+from hatn_sim.datatypes import PEDESTRIAN_PREFIX, FloatArray, IntArray, Kind, Scene
 from hatn_sim.errors import InputError, nearest
 from hatn_sim.recordings.fcd.rows import Row, Timestep
 from hatn_sim.recordings.fcd.vehicle_types import VehicleType, guessed, read_colour, type_of
 
-PEDESTRIAN_PREFIX: Final = "person:"
-"""As in a run of SUMO: persons and vehicles may bear the same name."""
 KIND_NAMES: Final = {kind.name.lower(): kind for kind in Kind}
 """The values of our own attribute `kind`."""
 RIGHT_BLINKER: Final = 1
