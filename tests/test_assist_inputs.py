@@ -110,9 +110,9 @@ def test_an_ego_that_leaves_and_one_that_never_comes(
     restrained = {one.ego_id for one in told if one.reason in of_others}
     leaver = next(name for name in ended if name not in {*last.ids, *restrained})
     capsys.readouterr()
-    egos = ["--assist", "--egos", f"{leaver},nobody", "--out", str(some)]
+    egos = ["--assist", "--egos", f"{leaver},east_west.999", "--out", str(some)]
     assert cli.main([*words, *QUIET, *egos]) == 0
-    assert capsys.readouterr().err == "hatn-sim: never seen in this run: --egos nobody\n"
+    assert capsys.readouterr().err == "hatn-sim: never seen in this run: --egos east_west.999\n"
 
     def lines(folder: Path) -> list[str]:
         return (folder / SUGGESTIONS_FILE).read_text(encoding="utf-8").splitlines()

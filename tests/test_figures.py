@@ -289,10 +289,10 @@ def test_reruns_own_tools_read_the_export(crossing: Run, tmp_path: Path) -> None
 @pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk (extra `viz`) is not installed")
 def test_vehicles_are_in_the_export_where_they_were(crossing: Run, tmp_path: Path) -> None:
     reader = pytest.importorskip("rerun.chunk").RrdReader
-    words = ["export", str(crossing.path), "--format", "rrd", "--out", str(tmp_path)]
+    words = ["export", str(crossing.path), "--format", "rrd", "--out", str(tmp_path / "x")]
     assert main(words) == 0
     told: dict[str, list[dict[str, Any]]] = {}
-    for chunk in reader(tmp_path / "run.rrd").stream().to_chunks():
+    for chunk in reader(tmp_path / "x" / "run.rrd").stream().to_chunks():
         told.setdefault(chunk.entity_path, []).extend(chunk.to_record_batch().to_pylist())
     (road,) = told["/road"]
     origin = [next(v[0] for k, v in road.items() if f"origin_{of}_m" in k) for of in AXES]

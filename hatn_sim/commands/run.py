@@ -34,7 +34,7 @@ from hatn_sim.commands.options import (
     seconds_or_none,
     with_driving,
 )
-from hatn_sim.commands.run_names import check_recording, check_routes, driven
+from hatn_sim.commands.run_names import check_egos, check_recording, check_routes, driven
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -173,6 +173,7 @@ def main(arguments: argparse.Namespace) -> int:
     _check_assist(arguments)
     _check_window(arguments)
     scenario = with_driving(chosen_scenario(arguments), arguments)
+    check_egos(arguments)
     check_routes(arguments, scenario)
     arguments.seed = chosen_seed(arguments, scenario)
     given: Path | None = arguments.assist_settings

@@ -24,6 +24,14 @@ def driven(arguments: argparse.Namespace) -> dict[str, float | None]:
     return parse_take_over(arguments.drive or "")
 
 
+def check_egos(arguments: argparse.Namespace) -> None:
+    """Raises InputError where --egos is there and names nobody."""
+    from hatn_sim.errors import InputError
+
+    if arguments.egos is not None and not arguments.egos:
+        raise InputError("--egos: expected names, found none; name some as A,B, or leave it out")
+
+
 def check_routes(arguments: argparse.Namespace, scenario: Scenario) -> None:
     """Raises InputError for a name that the scene's route files rule out.
 

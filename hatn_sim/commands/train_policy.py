@@ -117,6 +117,8 @@ def main(arguments: argparse.Namespace) -> int:
         raise InputError(
             "train-policy: expected stable-baselines3, found none; pip install 'hatn-sim[rl]'"
         )
+    if not arguments.scenes:
+        raise InputError("--scenes: expected names, found none; name some as A,B")
     if out.exists():
         raise InputError(f"{out}: exists already; expected a new folder: choose another --out")
     if not 0 <= arguments.seed < 2**31:

@@ -18,6 +18,8 @@ HINTED: Final = 1.03
 @lru_cache(maxsize=512)
 def width_pt(words: str, size_pt: float, bold: bool = False) -> float:
     """Of a line of words."""
+    if not words:
+        return 0.0  # matplotlib has no outline of nothing
     font = FontProperties(weight="bold" if bold else "normal")
     return float(TextPath((0.0, 0.0), words, size=size_pt, prop=font).get_extents().width)
 
