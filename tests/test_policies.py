@@ -25,16 +25,10 @@ from hatn_sim.envs.mind import glance, open_mind, think
 from hatn_sim.envs.observation import Ego, Observation, observe_slots
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.loop import Adviser, begin, tick
-from hatn_sim.policies.driver import PolicyAgent, observed
+from hatn_sim.planning.situation import Meetings, Situation
+from hatn_sim.policies.driver import PolicyAgent, observed, sight_of
 from hatn_sim.policies.inputs import Layout, Moment, inputs_of
-from hatn_sim.policies.law import (
-    LEVELS_MPS2,
-    REACTION_S,
-    allowed_mps,
-    has_stood,
-    lawful_mps2,
-    level_mps2,
-)
+from hatn_sim.policies.law import LEVELS_MPS2, REACTION_S, allowed_mps, lawful_mps2, level_mps2
 from hatn_sim.policies.lawful_env import make_lawful, share_of
 from hatn_sim.policies.network import (
     Network,
@@ -43,7 +37,7 @@ from hatn_sim.policies.network import (
     shapes_of,
     shipped_policy,
 )
-from hatn_sim.policies.timing import gains_mps2, slot_times_s
+from hatn_sim.policies.timing import gains_mps2, of_nearest, slot_times_s
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.predictors.find import load_predictor
 from hatn_sim.road import Road
@@ -75,90 +69,141 @@ def on_road(speed_mps: float, limit_mps: float = 10.0, **more: float) -> Observa
     }
 
 
-def before_line(speed_mps: float, bumper_m: float, is_stop: bool = True) -> Observation:
-    """The same, with a line this far from its front bumper."""
-    seen = on_road(speed_mps, **{GATE: bumper_m + 0.5 * LENGTH_M})
-    seen["slots"][0, 6] = bumper_m if is_stop else 40.0
-    seen["slots"][0, 0] = 8.0 if is_stop else 0.0  # from there on to the conflict
-    return seen
-
-
 # -- the law --------------------------------------------------------------------------------------
 
 
+def meeting(**more: Any) -> Meetings:
+    """Nobody is met, or one: 8 m from the ego's nose to an area of 6 m, a car's length beyond it.
+
+    `more` are numbers of that one.
+    """
+    one = {"room_m": 8.0, "clear_m": 19.0, "other_room_m": 30.0, "other_clear_m": 41.0} | more
+    count = int(bool(more))
+    return Meetings(
+        other=np.ones(count, np.int64),
+        merges=np.full(count, one.pop("merges", False)),
+        gives_way=np.full(count, one.pop("gives_way", False)),
+        **{name: np.full(count, value) for name, value in one.items()},
+    )
+
+
+def driving(
+    speed_mps: float, other_mps: float = 0.0, met: Meetings | None = None, **more: Any
+) -> Any:
+    """An ego on a straight road with a limit of 10 m/s, and another car somewhere."""
+    road = Road(crossing_lanes())
+    scene = scene_of(0.0, {"ego": (0, 0, 0, speed_mps), "other": (50.0, 0, 0, other_mps)})
+    scene = replace(scene, size_m=np.full((2, 2), [LENGTH_M, 1.8]))
+    lines: Any = None  # the law reads none
+    given: dict[str, Any] = {
+        "allowed_mps": np.full(56, 10.0),
+        "leader": -1,
+        "gap_m": np.inf,
+        "stop_m": np.inf,
+        "gate_m": np.inf,
+        "has_stopped": False,
+    }
+    half_m = 0.5 * LENGTH_M
+    return Situation(
+        road=road,
+        scene=scene,
+        lines=lines,
+        ego=0,
+        line=0,
+        s_m=0.0,
+        speed_mps=speed_mps,
+        half_m=half_m,
+        meetings=met or meeting(),
+        **given | more,
+    )
+
+
+def allowed(now: Situation, other_gains_mps2: float = 0.0) -> float:
+    return allowed_mps(now, np.array([0.0, other_gains_mps2]))
+
+
+def stop_mps(way_m: float, there_mps: float = 0.0, reaction_s: float = REACTION_S) -> float:
+    """From how fast braking at 2.5 m/s2 gets down to that, so far on, after a reaction."""
+    return float(max(np.roots([1.0, 5.0 * reaction_s, -5.0 * way_m - there_mps**2])))
+
+
 def test_allowed_speeds_worked_out_by_hand() -> None:
-    assert allowed_mps(on_road(3.0), stood=False) == pytest.approx(10.0)
-    # A lateral acceleration of 4 m/s2 or whatever: half the radius, 1/sqrt(2) of the speed.
-    bends = [on_road(3.0, 30.0, **{"curvature at 0 m, left positive": k}) for k in (0.1, -0.2)]
-    first, second = (allowed_mps(one, stood=False) for one in bends)
-    assert first < 10.0 and second == pytest.approx(first / np.sqrt(2.0), rel=1e-5)
-    # -2.5 + sqrt(2.5^2 + 2 * 2.5 * 10) = 5: 12 m to one who stands, 2 m are kept.
-    stands = {"has a leader": 1.0, "gap to the leader, 60: none": 12.0}
-    assert allowed_mps(on_road(3.0, **stands), stood=False) == pytest.approx(5.0)
-    # sqrt(1.25^2 + 2 * 2.5 * 5.3) - 1.25: 6 m to the line, 0.7 m are kept.
-    to_line = np.sqrt(1.25**2 + 26.5) - 1.25
-    assert allowed_mps(before_line(3.0, 6.0), stood=False) == pytest.approx(to_line)
-    assert allowed_mps(before_line(3.0, 6.0), stood=True) == pytest.approx(10.0)
-    assert allowed_mps(before_line(3.0, 6.0, is_stop=False), stood=False) == pytest.approx(10.0)
-    # Where one gives way, the conflict itself may be as near as the line.
-    gives_way = before_line(3.0, 6.0, is_stop=False)
-    gives_way["slots"][0, 6] = 6.9
-    assert allowed_mps(gives_way, stood=False) == pytest.approx(10.0)
-    red = before_line(3.0, 6.0, is_stop=False)
-    red["ego"][NAMES.index("a closed signal is before it")] = 1.0
-    assert allowed_mps(red, stood=True) == pytest.approx(to_line)
-
-
-def told(
-    observation: Observation, lawful_mps2: float = 1.0, gains: np.ndarray | None = None
-) -> Moment:
-    """An observation with what is known beside it."""
-    known = np.zeros(VEHICLES) if gains is None else gains.copy()
-    return Moment(observation, known, lawful_mps2, stood=False)
-
-
-def merging(ego_m: float, other_m: float, other_mps: float, line_m: float = 47.5) -> Observation:
-    """The ego at 2 m/s and another before a merge, 1.0 s and 1.2 s from it at the earliest."""
-    seen = before_line(2.0, line_m, is_stop=False)
-    seen["slot_mask"][:2] = 1.0
-    slot = {7: ego_m, 8: other_m, 4: other_mps, 11: 1.0, 12: 1.0, 13: 1.0, 14: 1.2}
-    for column, value in slot.items():
-        seen["slots"][1, column] = value
-    return seen
+    assert allowed(driving(3.0)) == pytest.approx(10.0)
+    # Half a second on, at 8 m/s, it is 4 m ahead: in the third column, every 2 m.
+    slower = np.array([9.0, 8.5, 7.0, 5.0, *[5.0] * 52])
+    assert allowed(driving(8.0, allowed_mps=slower)) == pytest.approx(7.0)
+    # 12 m to one who stands, of which 2 m are kept, after a second: -2.5 + sqrt(2.5^2 + 50) = 5.
+    assert allowed(driving(3.0, leader=1, gap_m=12.0)) == pytest.approx(5.0)
+    # 6 m to the line, 0.7 m are kept.
+    assert allowed(driving(3.0, stop_m=6.0, gate_m=6.0)) == pytest.approx(stop_mps(5.3))
+    # A line that it has stood at, or need not stop at, holds nobody.
+    assert allowed(driving(3.0, gate_m=6.0)) == pytest.approx(10.0)
+    # 10^2 / 2 / 8 = 6.25 m/s2 are more than anybody expects at a signal that closes.
+    assert allowed(driving(10.0, stop_m=8.0)) == pytest.approx(10.0)
+    assert allowed(driving(10.0, stop_m=10.5)) == pytest.approx(stop_mps(9.8))
 
 
 def test_whoever_can_no_longer_stop_goes_first() -> None:
-    # 6^2 / 5 + 6 * 0.5 = 10.2 m to stop, 10 - 2.5 are left: the ego waits 0.7 m before its nose is
-    # there; with 15 m left it need not.
-    wait = np.sqrt(1.25**2 + 5.0 * (8.0 - 2.5 - 0.7)) - 1.25
-    assert allowed_mps(merging(8.0, 10.0, 6.0), stood=False) == pytest.approx(wait)
-    assert allowed_mps(merging(8.0, 15.0, 6.0), stood=False) == pytest.approx(10.0)
-    # Where there is a line it waits there.
-    wait = np.sqrt(1.25**2 + 5.0 * (3.0 - 0.7)) - 1.25
-    assert allowed_mps(merging(8.0, 10.0, 6.0, line_m=3.0), stood=False) == pytest.approx(wait)
-    # One who is ahead is followed: 20 - 4 m between centres, 5 m of cars and 2 m are kept.
-    follow = np.sqrt(1.25**2 + 36.0 + 5.0 * 9.0) - 1.25
-    assert allowed_mps(merging(20.0, 4.0, 6.0), stood=False) == pytest.approx(follow)
-    # 4 m are missing: it is to be 4 m/s slower.
-    fall = np.sqrt(1.25**2 + 36.0) - 1.25 - 4.0
-    assert allowed_mps(merging(6.0, 3.0, 6.0), stood=False) == pytest.approx(fall)
-    # Who stands before a line of its own is no reason to wait; who is behind the ego neither.
-    assert allowed_mps(merging(9.4, 3.4, 0.0), stood=False) == pytest.approx(10.0)
-    assert allowed_mps(merging(2.0, 10.0, 6.0), stood=False) == pytest.approx(10.0)
+    # 8^2 / 5 + 8 * 0.5 = 16.8 m to stop. From 3 m/s, at 2 m/s2, the ego is clear in 3.1 s.
+    clear_s = (np.sqrt(9.0 + 4.0 * 19.0) - 3.0) / 2.0
+    assert clear_s == pytest.approx(3.11, abs=0.01)
+    bound = meeting(other_room_m=16.5, other_clear_m=27.5)
+    assert allowed(driving(3.0, 8.0, bound)) == pytest.approx(stop_mps(7.0))
+    # Before a line it waits there, where it is in nobody's way.
+    assert allowed(driving(3.0, 8.0, bound, gate_m=3.0)) == pytest.approx(stop_mps(2.3))
+    # Who is there only when the ego has been gone for a second is in nobody's way either.
+    slow = replace(bound, clear_m=np.full(1, 5.0), room_m=np.full(1, 0.5))
+    assert (np.sqrt(36.0 + 20.0) - 6.0) / 2.0 + 1.0 < 16.5 / 8.0
+    assert allowed(driving(6.0, 8.0, slow)) == pytest.approx(10.0)
+    # Nor who is out before the ego comes: 2.0 m at 8 m/s, 8 m from 3 m/s.
+    gone = meeting(other_room_m=-9.0, other_clear_m=2.0)
+    leaves = driving(3.0, 8.0, gone)
+    assert allowed(leaves) == pytest.approx(stop_mps(7.0))  # but it is in the area now
 
 
-def test_whoever_has_stood_may_go_until_the_line_is_behind() -> None:
-    assert not has_stood(False, before_line(0.0, 10.0))
-    assert not has_stood(False, before_line(2.0, 1.0))
-    assert has_stood(False, before_line(0.0, 1.0))
-    assert has_stood(True, before_line(1.5, 0.3))
-    assert not has_stood(True, on_road(3.0))
+def test_whoever_would_be_there_with_the_ego_goes_first_if_sooner() -> None:
+    # Clear in 3.11 s; at 5 m/s, 15 m take 3 s, 16 m take 3.2 s, and both could still stop.
+    for room_m, expected in ((15.0, stop_mps(7.0)), (16.0, 10.0)):
+        free = meeting(other_room_m=room_m, other_clear_m=room_m + 11.0)
+        assert allowed(driving(3.0, 5.0, free)) == pytest.approx(expected)
+        assert allowed(driving(3.0, 5.0, replace(free, gives_way=np.full(1, True)))) == 10.0
+        # It is not held at a line for who may still change his mind.
+        assert allowed(driving(3.0, 5.0, free, gate_m=3.0)) == pytest.approx(expected)
+    # 2.5 m/s2 bring 20 m within 2.4 s of 5 m/s, 24 m within 2.8 s, however fast it gains.
+    gaining = meeting(other_room_m=20.0, other_clear_m=31.0)
+    assert allowed(driving(3.0, 5.0, gaining)) == pytest.approx(10.0)
+    assert allowed(driving(3.0, 5.0, gaining), 2.5) == pytest.approx(stop_mps(7.0))
+    assert allowed(driving(3.0, 5.0, gaining), 0.3) == pytest.approx(10.0)
+    # Who has stood still stands.
+    assert allowed(driving(3.0, 0.4, meeting(other_room_m=1.0))) == pytest.approx(10.0)
+    # Nobody waits where its nose is in the area, or where it cannot stop before it.
+    late = meeting(room_m=-0.5, clear_m=10.0, other_room_m=2.0, other_clear_m=13.0)
+    assert allowed(driving(3.0, 5.0, late)) == pytest.approx(10.0)
+    late = meeting(room_m=3.0, clear_m=14.0, other_room_m=2.0, other_clear_m=13.0)
+    assert allowed(driving(6.0, 5.0, late)) == pytest.approx(10.0)
+
+
+def test_whoever_merges_ahead_is_followed_or_waited_for() -> None:
+    # 6 - 2 m between fronts, of which 5 m are its length and 2 m are kept: it is to be 3 m/s slower
+    # than whoever is ahead, or able to stop within 5 m, whichever is faster.
+    ahead = meeting(merges=True, room_m=6.0, clear_m=11.0, other_room_m=2.0, other_clear_m=7.0)
+    assert allowed(driving(3.0, 3.0, ahead)) == pytest.approx(stop_mps(5.0))
+    # When its nose is in, it can only follow: 5 m are missing.
+    inside = replace(ahead, room_m=np.full(1, -0.5), other_room_m=np.full(1, -2.5))
+    assert allowed(driving(3.0, 8.0, inside)) == pytest.approx(stop_mps(0.0, there_mps=8.0) - 5.0)
+    # 14 - 2 m between fast ones: to follow lets it be faster than to be able to stop.
+    far = replace(ahead, room_m=np.full(1, 14.0), clear_m=np.full(1, 19.0))
+    long = replace(far, other_clear_m=np.full(1, 15.0))
+    follows = stop_mps(5.0, there_mps=8.0)
+    assert stop_mps(13.0) < follows < 10.0
+    assert allowed(driving(9.0, 8.0, long)) == pytest.approx(follows)
+    # Who is past the point before the ego comes is a leader like any other by then.
+    assert allowed(driving(3.0, 6.0, far)) == pytest.approx(10.0)
 
 
 def test_nobody_knows_the_law_of_an_unknown_road() -> None:
-    lost = on_road(7.0)
-    lost["ego"][len(OWN) :] = 0.0
-    assert lawful_mps2(lost, stood=False) == 0.0
+    assert lawful_mps2(None, np.zeros(2)) == 0.0
+    assert lawful_mps2(driving(3.0, leader=1, gap_m=12.0), np.zeros(2)) == pytest.approx(4.0)
     assert level_mps2(LEVELS_MPS2.index(-3.0), 0.0) == -3.0
     assert level_mps2(len(LEVELS_MPS2) - 1, 0.0) == 0.0
 
@@ -170,22 +215,55 @@ def test_a_level_is_an_action_of_the_environment() -> None:
 
 
 @pytest.mark.parametrize("speed_mps", [0.5, 6.0, 10.0])
-def test_the_fastest_driver_within_the_law_stops_at_the_line(speed_mps: float) -> None:
-    to_line_m, stood, fastest = 60.0, False, 0.0
-    for _ in range(60):
-        seen = before_line(speed_mps, to_line_m) if to_line_m < 47.0 else on_road(speed_mps)
-        stood = has_stood(stood, seen)
-        if stood:
-            break
-        level = level_mps2(len(LEVELS_MPS2) - 1, lawful_mps2(seen, stood))
+@pytest.mark.parametrize("what", ["line", "area", "bend"])
+def test_the_fastest_driver_within_the_law_is_slow_enough_in_time(
+    speed_mps: float, what: str
+) -> None:
+    way_m, fastest, hardest = 60.0, 0.0, 0.0
+    for _ in range(80):
+        if what == "line":
+            now = driving(speed_mps, stop_m=way_m)
+        elif what == "area":  # of somebody who comes and never gets there
+            now = driving(
+                speed_mps, 8.0, meeting(room_m=way_m, clear_m=way_m + 11.0, other_room_m=9.0)
+            )
+        else:
+            from_here_m = np.maximum(way_m - 2.0 * np.arange(56), 0.0)
+            profile = np.minimum(10.0, np.sqrt(16.0 + 2.0 * 1.5 * from_here_m))
+            now = driving(speed_mps, allowed_mps=profile)
+        level = level_mps2(len(LEVELS_MPS2) - 1, lawful_mps2(now, np.zeros(2)))
         after_mps = max(speed_mps + REACTION_S * level, 0.0)
-        to_line_m -= 0.5 * (speed_mps + after_mps) * REACTION_S
-        speed_mps, fastest = after_mps, max(fastest, after_mps)
-        assert to_line_m > 0.0 and level > -4.0
-    assert stood and fastest == pytest.approx(10.0, abs=0.1)
+        way_m -= 0.5 * (speed_mps + after_mps) * REACTION_S
+        speed_mps = after_mps
+        fastest, hardest = max(fastest, speed_mps), max(hardest, -level)
+        if what != "bend":
+            assert way_m > 0.0
+    assert fastest == pytest.approx(10.0, abs=0.1) and hardest < 4.0
+    if what == "bend":
+        assert speed_mps == pytest.approx(4.0, abs=0.01) and hardest < 2.5
+    else:
+        assert speed_mps < 0.3 and way_m < 1.2
 
 
 # -- what it knows ---------------------------------------------------------------------------------
+
+
+def told(
+    observation: Observation, lawful_mps2: float = 1.0, gains: np.ndarray | None = None
+) -> Moment:
+    """An observation with what is known beside it."""
+    known = np.zeros(VEHICLES) if gains is None else gains.copy()
+    return Moment(observation, known, lawful_mps2, stood=False)
+
+
+def merging(ego_m: float, other_m: float, other_mps: float) -> Observation:
+    """The ego at 2 m/s and another before a merge, 1.0 s and 1.2 s from it at the earliest."""
+    seen = on_road(2.0)
+    seen["slot_mask"][:2] = 1.0
+    slot = {7: ego_m, 8: other_m, 4: other_mps, 11: 1.0, 12: 1.0, 13: 1.0, 14: 1.2}
+    for column, value in slot.items():
+        seen["slots"][1, column] = value
+    return seen
 
 
 def test_times_at_a_conflict_worked_out_by_hand() -> None:
@@ -204,7 +282,7 @@ def test_times_at_a_conflict_worked_out_by_hand() -> None:
     gains[1] = -2.0
     assert slot_times_s(seen, gains)[1, 1] == pytest.approx(4.0)
     # 10 m/s are the limit: 4 s and 24 m to get there from 4 m/s, the other 24 m at it.
-    fast = before_line(4.0, 40.0)
+    fast = on_road(4.0)
     fast["slot_mask"][1] = 1.0
     fast["slots"][1, 7] = 24.0 + 24.0 * 10.0 / 24.0 - 4.0
     assert slot_times_s(fast, np.zeros(MAX_NODES))[1, 2] == pytest.approx(4.0 + 0.6)
@@ -213,10 +291,13 @@ def test_times_at_a_conflict_worked_out_by_hand() -> None:
 
 def test_accelerations_are_of_the_time_since_the_last_decision() -> None:
     places = {"far": (40.0, 0.0, 0.0, 4.0), "ego": (0.0, 0.0, 0.0, 9.0), "near": (9.0, 0, 0, 7.0)}
-    gains = gains_mps2(scene_of(1.0, places), 1, {"near": 6.0, "ego": 1.0}, frames=5)
-    # The nearest first; who was not there has kept its speed.
-    np.testing.assert_allclose(gains[:2], [2.0, 0.0])
-    assert gains.shape == (VEHICLES,) and not gains[2:].any()
+    scene = scene_of(1.0, places)
+    gains = gains_mps2(scene, {"near": 6.0, "ego": 1.0}, frames=5)
+    # Who was not there has kept its speed.
+    np.testing.assert_allclose(gains, [0.0, 16.0, 2.0])
+    nearest = of_nearest(scene, 1, gains)
+    np.testing.assert_allclose(nearest[:2], [2.0, 0.0])
+    assert nearest.shape == (VEHICLES,) and not nearest[2:].any()
 
 
 def test_the_acceleration_of_a_vehicle_is_that_of_the_slot_before_it() -> None:
@@ -439,7 +520,7 @@ def test_an_agent_makes_graphs_itself_where_a_predictor_has_none(weights: Path) 
         state, command = agent.step(state, "ego", frame.scene, thought.advice)
         assert command is not None and command.ego_id == "ego"
     seen = replace(state, speed_mps=before.speed_mps)
-    ours = observed(seen, 0, frame.scene, thought.advice)
+    ours = observed(seen, 0, frame.scene, sight_of(seen, thought.advice))
     theirs = observe_slots(frame.scene, Ego(0, -3.0, 1.0), thought.sight)
     for key, value in theirs.items():
         np.testing.assert_allclose(ours[key], value, atol=1e-5, err_msg=key)
@@ -471,6 +552,8 @@ def test_an_agent_drives_as_its_network_does_in_the_environment(weights: Path) -
                 advised, advice = tick(adviser, advised, frame)
             command = None
             if frame.scene.time_s > begins_s - 0.01:
+                own = frame.scene.ids.index(ego_id)
+                state = agent.guide(state, frame.truth.routes[own])
                 state, command = agent.step(state, ego_id, frame.scene, advice)
                 if state.frames % 5 == 1 and state.frames > 1:
                     ours.append(frame.scene.xy_m[frame.scene.ids.index(ego_id)])

@@ -27,6 +27,7 @@ from hatn_sim.envs.shown import info_of, observation_of, slots_now
 from hatn_sim.envs.traffic import check_scene, ego_of, scenario_of, warm_up_s
 from hatn_sim.envs.turns import Turn, taken
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
+from hatn_sim.planning.situation import Situation, on_route, situation_of
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.traffic import open_traffic
@@ -218,6 +219,19 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         if isinstance(self._simulator, SumoSimulator) and isinstance(first, SumoSimulator):
             self._simulator.share_road(first)
             self._on_this_road = others
+
+    def situation(self, has_stopped: bool) -> Situation | None:
+        """What the ego sees on its own way; None where it is gone, or on no line.
+
+        `has_stopped`: a step ago, at the stop line ahead. Raises NeedsResetError.
+        """
+        episode = self._running()
+        if episode.thought is None or episode.row is None:
+            return None
+        road, row, scene = episode.road, episode.row, episode.frame.scene
+        route = episode.frame.truth.routes[row]
+        lines = on_route(road, scene, episode.thought.sight.lines, row, route)
+        return situation_of(road, scene, lines, row, has_stopped)
 
     def action_masks(self) -> BoolArray:
         """The slots [M] that may be chosen now, as sb3-contrib asks for them."""

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.datatypes import FloatArray
 from hatn_sim.planning.situation import Situation
 from hatn_sim.predictors.car_following import (
     DESIRED_SPEED_MPS,
@@ -52,7 +53,7 @@ def halt_before_m(now: Situation) -> float:
     comes_s, leaves_s = met.other_room_m / pace, met.other_clear_m / pace
     limit_mps = max(float(now.allowed_mps.max()), STANDING_MPS)
     enters_s, clear_s = (
-        _time_s(way_m, now.speed_mps, limit_mps) for way_m in (met.room_m, met.clear_m)
+        time_over_s(way_m, now.speed_mps, limit_mps) for way_m in (met.room_m, met.clear_m)
     )
     blocked = moving & ~met.gives_way
     blocked &= (comes_s < clear_s + GAP_S) & (leaves_s + BEHIND_S > enters_s)
@@ -62,11 +63,15 @@ def halt_before_m(now: Situation) -> float:
     return float(np.where(waits, np.maximum(ahead_m, 0.0), np.inf).min(initial=np.inf))
 
 
-def _time_s(way_m: np.ndarray, speed_mps: float, limit_mps: float) -> np.ndarray:
-    """For ways [J], at `START_MPS2` up to the limit; 0 for those that lie behind."""
+def time_over_s(
+    way_m: FloatArray,
+    speed_mps: float,
+    limit_mps: FloatArray | float,
+    gain_mps2: float = START_MPS2,
+) -> FloatArray:
+    """For ways, gaining speed steadily up to limits above 0; 0 for those that lie behind."""
     way_m = np.maximum(way_m, 0.0)
-    gain_mps = max(limit_mps - speed_mps, 0.0)
-    gaining_s = gain_mps / START_MPS2
-    gaining_m = gaining_s * (speed_mps + 0.5 * gain_mps)
-    root = np.sqrt(speed_mps**2 + 2.0 * START_MPS2 * np.minimum(way_m, gaining_m))
-    return (root - speed_mps) / START_MPS2 + np.maximum(way_m - gaining_m, 0.0) / limit_mps
+    gain_mps = np.maximum(limit_mps - speed_mps, 0.0)
+    gaining_m = (speed_mps + 0.5 * gain_mps) * gain_mps / gain_mps2
+    root = np.sqrt(speed_mps**2 + 2.0 * gain_mps2 * np.minimum(way_m, gaining_m))
+    return (root - speed_mps) / gain_mps2 + np.maximum(way_m - gaining_m, 0.0) / limit_mps

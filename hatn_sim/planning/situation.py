@@ -13,8 +13,8 @@ import numpy as np
 
 from hatn_sim.assist.pairs import at_conflicts
 from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray, IntArray, Lines, Route, Scene
-from hatn_sim.graph import Gates, next_gates
-from hatn_sim.perception import Perception, PerceptionState, begin, find_leaders, perceive
+from hatn_sim.graph import Gates, gates_ahead
+from hatn_sim.perception import PerceptionState, begin, find_leaders, perceive
 from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.speed_profile import allowed_speed_mps
 
@@ -64,6 +64,8 @@ class Situation:
     leader: int  # row, -1: nobody
     gap_m: float  # to the leader's rear bumper; inf: nobody
     stop_m: float  # to a stop line or a closed signal; inf: none
+    gate_m: float  # to any line or closed signal ahead, those it need not stop at, too; inf: none
+    has_stopped: bool  # at the stop line ahead
     meetings: Meetings
 
     @property
@@ -89,19 +91,29 @@ def look(state: DriverState, ego_id: str, scene: Scene) -> tuple[DriverState, Si
     if ego_id not in scene.ids:
         return state, None
     road, ego = perception.road, scene.ids.index(ego_id)
-    lines = _with_route(road, perception.seen, ego, state.route)
+    lines = on_route(road, scene, perception.seen.lines, ego, state.route)
+    now = situation_of(road, scene, lines, ego, state.has_stopped)
+    return state if now is None else replace(state, has_stopped=now.has_stopped), now
+
+
+def situation_of(
+    road: Road, scene: Scene, lines: Lines, ego: int, has_stopped: bool
+) -> Situation | None:
+    """What the vehicle in this row sees where all are on these lines; None: it is on none.
+
+    `has_stopped`: a moment ago, at the stop line ahead.
+    """
     if lines.line[ego] < 0:
-        return state, None
+        return None
     road.touch(lines.line[ego : ego + 1])
-    seen = replace(perception.seen, lines=lines)
-    gates = next_gates(road, seen)
+    gates = gates_ahead(road, scene, lines)
     speed_mps = float(scene.speed_mps[ego])
     near_line = gates.stop_m[ego] < AT_LINE_M
-    has_stopped = bool(near_line and (state.has_stopped or speed_mps < STANDING_MPS))
-    to_line_m = np.inf if has_stopped else gates.stop_m[ego]
+    stopped = bool(near_line and (has_stopped or speed_mps < STANDING_MPS))
+    to_line_m = np.inf if stopped else gates.stop_m[ego]
     leader, gap_m = _leader(road, scene, lines, ego)
     line, s_m = lines.line[ego : ego + 1], lines.s_m[ego : ego + 1]
-    situation = Situation(
+    return Situation(
         road=road,
         scene=scene,
         lines=lines,
@@ -114,21 +126,21 @@ def look(state: DriverState, ego_id: str, scene: Scene) -> tuple[DriverState, Si
         leader=leader,
         gap_m=gap_m,
         stop_m=float(min(to_line_m, gates.closed_m[ego])),
+        gate_m=float(_gate_m(gates)[ego]),
+        has_stopped=stopped,
         meetings=_meetings(road, scene, lines, gates, ego),
     )
-    return replace(state, has_stopped=has_stopped), situation
 
 
-def _with_route(road: Road, seen: Perception, ego: int, route: Route | None) -> Lines:
-    """The lines of a moment, the ego's by its route."""
-    lines = seen.lines
+def on_route(road: Road, scene: Scene, lines: Lines, ego: int, route: Route | None) -> Lines:
+    """The lines of a moment, the ego's by its route, where that is known and of this road."""
     if not route or any(name not in road.lanes for name in route):
         return lines
     line = np.array([road.line(route)])
     length_m = float(road.count[line[0]]) * LINE_STEP_M
-    xy_m = seen.scene.xy_m[ego : ego + 1]
+    xy_m = scene.xy_m[ego : ego + 1]
     s_m, d_m = road.search(line, xy_m, np.zeros(1), length_m)
-    turned = seen.scene.yaw_rad[ego] - road.line_yaw_rad(line, s_m)
+    turned = scene.yaw_rad[ego] - road.line_yaw_rad(line, s_m)
     new = {"line": line, "s_m": s_m, "d_m": d_m, "phi_rad": turned, "probability": np.ones(1)}
     columns = {name: getattr(lines, name).copy() for name in new}
     for name, value in new.items():
@@ -154,7 +166,7 @@ def _meetings(road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int) ->
     row, mine, room_m = row[order], mine[order], room_m[order]
     its = 1 - mine
     other, other_room_m = pairs.index[row, its], pairs.room_m[row, its]
-    gate_m = np.minimum(np.minimum(gates.stop_m, gates.give_way_m), gates.closed_m)
+    gate_m = _gate_m(gates)
     return Meetings(
         other=other,
         merges=pairs.type[row] == ConflictType.MERGE,
@@ -164,3 +176,7 @@ def _meetings(road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int) ->
         other_clear_m=pairs.clear_m[row, its],
         gives_way=(gate_m[other] <= other_room_m) & (gate_m[ego] > room_m),
     )
+
+
+def _gate_m(gates: Gates) -> FloatArray:
+    return np.minimum(np.minimum(gates.stop_m, gates.give_way_m), gates.closed_m)

@@ -14,8 +14,8 @@ from hatn_sim.envs.features import VEHICLES
 from hatn_sim.envs.observation import Observation
 from hatn_sim.envs.scene_env import SceneEnv
 from hatn_sim.policies.inputs import Layout, Moment, inputs_of
-from hatn_sim.policies.law import HOLDS_FRAMES, LEVELS_MPS2, has_stood, lawful_mps2, level_mps2
-from hatn_sim.policies.timing import Speeds, gains_mps2, speeds_of
+from hatn_sim.policies.law import HOLDS_FRAMES, LEVELS_MPS2, lawful_mps2, level_mps2
+from hatn_sim.policies.timing import Speeds, gains_mps2, of_nearest, speeds_of
 
 REWARD: Final = {
     "progress_m": 0.01,
@@ -66,14 +66,16 @@ class LawfulLevels(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def _seen(self, observation: Observation, info: dict[str, Any]) -> np.ndarray:
         scene, ego_id = info["seen"].scene, info["ego_id"]
-        gains = np.zeros(VEHICLES)
-        if ego_id in scene.ids:
-            gains = gains_mps2(scene, scene.ids.index(ego_id), self._before, HOLDS_FRAMES)
+        gains = gains_mps2(scene, self._before, HOLDS_FRAMES)
+        now = cast(SceneEnv, self.unwrapped).situation(self._stood)
         self._before = speeds_of(scene)
-        self._stood = has_stood(self._stood, observation)
-        self._lawful_mps2 = lawful_mps2(observation, self._stood)
-        now = Moment(observation, gains, self._lawful_mps2, self._stood)
-        return inputs_of(self.layout, now)
+        self._stood = now is not None and now.has_stopped
+        self._lawful_mps2 = lawful_mps2(now, gains)
+        near = np.zeros(VEHICLES)
+        if ego_id in scene.ids:
+            near = of_nearest(scene, scene.ids.index(ego_id), gains)
+        moment = Moment(observation, near, self._lawful_mps2, self._stood)
+        return inputs_of(self.layout, moment)
 
 
 class BriefInfo(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S, Scene
+from hatn_sim.datatypes import DT_S, FloatArray, Scene
 from hatn_sim.envs.features import ON_ROAD, OWN, ROAD_AT_M, SLOT, VEHICLES
 from hatn_sim.envs.observation import Observation, nearest_vehicles
-from hatn_sim.policies.law import NEAR_SIDE_M
+from hatn_sim.planning.following import time_over_s
 
 TIMES: Final = (
     "the other comes, at its speed",
@@ -24,8 +24,8 @@ TIMES: Final = (
 )
 """Of each slot, in s."""
 FAR_S: Final = 10.0
-START_MPS2: Final = 1.5
-"""How fast the ego is taken to gain speed."""
+NEAR_SIDE_M: Final = 1.5
+"""Half the width of who crosses, and some room."""
 LEAST_MPS: Final = 0.5
 """Slower ones are taken to come as slowly as this."""
 LEAST_MPS2: Final = 0.1
@@ -47,13 +47,17 @@ def speeds_of(scene: Scene) -> Speeds:
     return dict(zip(scene.ids, scene.speed_mps.tolist(), strict=True))
 
 
-def gains_mps2(scene: Scene, ego: int, before: Speeds, frames: int) -> np.ndarray:
-    """Accelerations [VEHICLES] of those observed, since so many frames ago; 0 where unknown."""
-    gains = np.zeros(VEHICLES)
-    for k, row in enumerate(nearest_vehicles(scene, ego).tolist()):
-        speed_mps = float(scene.speed_mps[row])
-        gains[k] = (speed_mps - before.get(scene.ids[row], speed_mps)) / (frames * DT_S)
-    return gains
+def gains_mps2(scene: Scene, before: Speeds, frames: int) -> FloatArray:
+    """Accelerations [N] of all there, since so many frames ago; 0 where unknown."""
+    speeds = zip(scene.ids, scene.speed_mps.tolist(), strict=True)
+    gained = [speed_mps - before.get(name, speed_mps) for name, speed_mps in speeds]
+    return np.array(gained) / (frames * DT_S)
+
+
+def of_nearest(scene: Scene, ego: int, values: FloatArray) -> FloatArray:
+    """Those [VEHICLES] of the vehicles observed, in their order, of values [N]; then 0."""
+    near = nearest_vehicles(scene, ego)
+    return np.pad(values[near], (0, VEHICLES - len(near)))
 
 
 def slot_times_s(observation: Observation, other_mps2: np.ndarray) -> np.ndarray:
@@ -68,10 +72,10 @@ def slot_times_s(observation: Observation, other_mps2: np.ndarray) -> np.ndarray
     other_mps = np.maximum(slots[:, _OTHER_MPS], LEAST_MPS)
     gain = np.where(other_mps2 > LEAST_MPS2, other_mps2, 0.0)
     speed_mps, limit_mps = float(own[_SPEED]), max(float(own[_LIMIT]), LEAST_MPS)
-    ego_comes_s = _gaining_s(ego_m - aside_m, speed_mps, limit_mps)
-    ego_leaves_s = _gaining_s(ego_m + aside_m, speed_mps, limit_mps)
+    ego_comes_s = time_over_s(ego_m - aside_m, speed_mps, limit_mps)
+    ego_leaves_s = time_over_s(ego_m + aside_m, speed_mps, limit_mps)
     steady_s = np.maximum(other_m - aside_m, 0.0) / other_mps
-    gaining_s = _steady_gain_s(other_m - aside_m, other_mps, gain)
+    gaining_s = steady_gain_s(other_m - aside_m, other_mps, gain)
     leaves_s = np.maximum(other_m + aside_m, 0.0) / other_mps
     times = (steady_s, gaining_s, ego_leaves_s, gaining_s - ego_leaves_s, ego_comes_s - leaves_s)
     there = observation["slot_mask"] > 0.0
@@ -79,16 +83,7 @@ def slot_times_s(observation: Observation, other_mps2: np.ndarray) -> np.ndarray
     return np.where(there[:, None], np.clip(np.column_stack(times), -FAR_S, FAR_S), 0.0)
 
 
-def _gaining_s(way_m: np.ndarray, speed_mps: float, limit_mps: float) -> np.ndarray:
-    """For ways, at `START_MPS2` up to the limit; 0 for those that lie behind."""
-    way_m = np.maximum(way_m, 0.0)
-    gain_mps = max(limit_mps - speed_mps, 0.0)
-    gaining_m = (speed_mps + 0.5 * gain_mps) * gain_mps / START_MPS2
-    root = np.sqrt(speed_mps**2 + 2.0 * START_MPS2 * np.minimum(way_m, gaining_m))
-    return (root - speed_mps) / START_MPS2 + np.maximum(way_m - gaining_m, 0.0) / limit_mps
-
-
-def _steady_gain_s(way_m: np.ndarray, speed_mps: np.ndarray, gain_mps2: np.ndarray) -> np.ndarray:
+def steady_gain_s(way_m: np.ndarray, speed_mps: np.ndarray, gain_mps2: np.ndarray) -> np.ndarray:
     """For ways at speeds above 0 that grow steadily; 0 for those that lie behind."""
     way_m = np.maximum(way_m, 0.0)
     # The root's conjugate: exact where nobody gains, too.
