@@ -18,6 +18,10 @@ class InputError(HatnSimError):
     exit_code = 2
 
 
+class RunningError(InputError, TypeError):
+    """What has a process of its own cannot be copied or pickled."""
+
+
 class SimulatorError(HatnSimError):
     """The simulator failed in the middle of a run. Exit code 1."""
 

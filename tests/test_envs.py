@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -57,7 +59,7 @@ from hatn_sim.envs.options import RewardWeights, read_options
 from hatn_sim.envs.reward import terms_of
 from hatn_sim.envs.scene_env import SceneEnv
 from hatn_sim.envs.seeds import number_of
-from hatn_sim.errors import InputError, SimulatorError
+from hatn_sim.errors import InputError, RunningError, SimulatorError
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
 from hatn_sim.resources import scenarios_dir
 from hatn_sim.road import Road
@@ -427,6 +429,22 @@ def test_out_of_turn(make: Any) -> None:
     silent.reset(seed=3)
     with pytest.raises(RenderError, match="expected a render_mode"):
         silent.render()
+
+
+def test_what_runs_cannot_be_copied(make: Any) -> None:
+    env = make(scene=str(STREET), predictor=None, ego="taken_over", warm_up_s=5.0)
+    assert copy.deepcopy(env).unwrapped.options.scene == str(STREET)  # nothing runs yet
+    _, info = env.reset(seed=3)
+    for copied in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(RunningError, match="reset with the same seed"):
+            copied(env)
+    # What it says instead is so, and the refusal has left the environment as it was.
+    twin = make(scene=str(STREET), predictor=None, ego="taken_over", warm_up_s=5.0)
+    assert twin.reset(seed=3)[1]["seen"] == info["seen"]
+    ours, theirs = (one.step(np.ones(1, np.float32))[-1]["seen"] for one in (env, twin))
+    assert ours == theirs
+    env.close()
+    pickle.loads(pickle.dumps(env)).close()
 
 
 def test_an_ego_that_never_comes(make: Any) -> None:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from hatn_sim.datatypes import (
     Scene,
     Truth,
 )
-from hatn_sim.errors import InputError, SimulatorError, WindowClosedError
+from hatn_sim.errors import InputError, RunningError, SimulatorError, WindowClosedError
 from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import (
@@ -88,6 +88,14 @@ class SumoSimulator:
         self._cannot_branch: str | None = None
         self.sumo_s = 0.0
         """Wall clock that SUMO itself took for the last step, reading and the pipe excepted."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._worker is not None:
+            raise RunningError(
+                f"{self.name}: SUMO runs, and cannot be copied or pickled; expected it closed, or "
+                "another environment, reset with the same seed and driven by the same actions"
+            )
+        return self.__dict__
 
     @property
     def name(self) -> str:
