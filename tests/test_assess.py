@@ -70,6 +70,7 @@ def test_runs_of_other_files_are_other_runs(tmp_path: Path) -> None:
     assert made_by(scenario) == before
 
 
+@pytest.mark.slow
 def test_a_threshold_is_sought_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

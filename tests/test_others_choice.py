@@ -146,6 +146,7 @@ def test_the_scored_recording_has_no_part_in_it(tmp_path: Path, found: OthersCho
         found_for(scenes(site, "000"))
 
 
+@pytest.mark.slow
 def test_every_recording_has_that_of_the_others_with_any_number_of_workers(
     site: Path, found: OthersChoice
 ) -> None:

@@ -151,6 +151,7 @@ def test_a_doubt_about_a_map_is_told_before_samples_are_cut(
         assert was_seen(card, load_tracks([str(tmp_path / f"{name}.csv")], moved), None) == seen
 
 
+@pytest.mark.slow
 def test_the_command_in_a_log_makes_the_same_run(site: Path) -> None:
     assert evaluate(site, "--recordings", "001-002", "--out", "out", "--quiet") == 0
     evaluated = log("out", "001")

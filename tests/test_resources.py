@@ -114,6 +114,7 @@ def test_an_unpacked_wheel(clone: Path, tmp_path: Path) -> None:
     check(look(folder, tmp_path), folder / "hatn_sim")
 
 
+@pytest.mark.slow
 def test_an_unpacked_sdist_and_the_wheel_made_of_it(clone: Path, tmp_path: Path) -> None:
     folder = unpack(build(clone, "sdist", tmp_path / "built"), tmp_path / "source")
     check(look(folder, tmp_path), folder / "hatn_sim")
