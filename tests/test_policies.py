@@ -18,7 +18,7 @@ import pytest
 from conftest import crossing_lanes, scene_of
 
 from hatn_sim import cli
-from hatn_sim.datatypes import DT_S, MAX_NODES, Frame, Truth
+from hatn_sim.datatypes import DT_S, MAX_NODES, Command, Frame, Scene, Truth
 from hatn_sim.envs.action import FASTER_MPS2, SLOWER_MPS2
 from hatn_sim.envs.features import MODES, ON_ROAD, OTHER, OWN, POINTS, SLOT, VEHICLES
 from hatn_sim.envs.mind import glance, open_mind, think
@@ -26,6 +26,7 @@ from hatn_sim.envs.observation import Ego, Observation, observe_slots
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.loop import Adviser, begin, tick
 from hatn_sim.planning.situation import Meetings, Situation
+from hatn_sim.policies.beside import mean_time_s
 from hatn_sim.policies.driver import PolicyAgent, observed, sight_of
 from hatn_sim.policies.inputs import Layout, Moment, inputs_of
 from hatn_sim.policies.law import LEVELS_MPS2, REACTION_S, allowed_mps, lawful_mps2, level_mps2
@@ -574,6 +575,53 @@ def test_shipped_policies_are_small_and_say_how_they_were_made(name: str) -> Non
     assert f"--algorithm {name}" in network.card["command"]
 
 
+class Gentle:
+    """Gains speed as long as nothing is known against it."""
+
+    def init(self, road: Road) -> int:
+        return 0
+
+    def step(
+        self, state: int, ego_id: str, scene: Scene, advice: Any
+    ) -> tuple[int, Command | None]:
+        assert advice.prediction.xy_m.shape[0] == len(scene.ids)
+        slow = scene.speed_mps[scene.ids.index(ego_id)] < 5.0
+        return state + 1, Command(ego_id, 1.5) if slow else None
+
+
+def test_a_mark_is_the_time_that_an_agent_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hatn_sim.policies.beside.EPISODES", 2)
+    told: list[Any] = []
+    found_s = mean_time_s(
+        Gentle(),
+        ("tjunction",),
+        "constant_velocity",
+        lambda *done: told.append(done),
+        density="light",
+    )
+    times_s = []
+    env = gymnasium.make(
+        "hatn_sim.envs:hatn_sim/Scene-v0",
+        scene="tjunction",
+        density="light",
+        predictor=None,
+        action="acceleration",
+        frames_per_step=1,
+        observation="vehicles",
+    )
+    for seed in (0, 1):
+        seen, info = env.reset(seed=seed)
+        begins_s, is_over = info["time_s"], False
+        while not is_over:
+            share = 0.5 * float(seen["ego"][0] < 5.0)
+            seen, _, *ends, info = env.step(np.array([share], np.float32))
+            is_over = any(ends)
+        times_s.append(info["time_s"] - begins_s)
+    env.close()
+    assert found_s == pytest.approx(sum(times_s) / 2) and times_s[0] != times_s[1]
+    assert told == [(1, 2), (2, 2)]
+
+
 # -- the command ----------------------------------------------------------------------------------
 
 
@@ -584,7 +632,8 @@ def test_shipped_policies_are_small_and_say_how_they_were_made(name: str) -> Non
         (["--out", "new", "--seed", "-1"], "--seed -1: expected 0 to"),
         (["--out", "new", "--scenes", "intersecton5"], "did you mean 'intersection5'"),
         (["--out", "new", "--predictor", "hatnn"], "did you mean 'hatn'"),
-        (["--out", "new", "--mark", "idm"], "expected NAME=SECONDS, found 'idm'"),
+        (["--out", "new", "--mark", "=3"], "expected AGENT or NAME=SECONDS, found '=3'"),
+        (["--out", "new", "--mark", "idmm"], "did you mean 'idm'"),
         (["--out", "new", "--algorithm", "sac"], "invalid choice"),
     ],
 )
@@ -610,8 +659,9 @@ def test_a_short_training_leaves_weights_card_progress_and_a_picture(
     out = tmp_path / "new"
     words = ["--scenes", "intersection5", "--envs", "2", "--steps", "2000", "--quiet"]
     words += ["--out", str(out)]
-    assert cli.main(["train-policy", *words, "--mark", "idm=30"]) == 0
-    assert "decisions in" in capsys.readouterr().out
+    assert cli.main(["train-policy", *words, "--mark", "idm=30", "--mark", "idm"]) == 0
+    printed = capsys.readouterr().out
+    assert "decisions in" in printed and "; idm takes " in printed
     network = load_network(out / "ppo.safetensors")
     assert str(tmp_path) not in network.card["command"]
     assert len((out / "progress.jsonl").read_text().splitlines()) >= 1

@@ -22,6 +22,7 @@ import hatn_sim
 from hatn_sim.commands.options import names, part, seconds, whole_number
 
 if TYPE_CHECKING:
+    from hatn_sim.datatypes import Agent
     from hatn_sim.policies.training import Progress
 
 EXAMPLES = """examples:
@@ -93,24 +94,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=mark,
         action="append",
         default=[],
-        metavar="NAME=S",
-        help="the time of another driver, to be drawn into the picture; may be repeated",
+        metavar="AGENT[=S]",
+        help="the time of another driver, to be drawn into the picture: so many seconds, or what "
+        "the agent of that name takes in this traffic; may be repeated",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
-def mark(text: str) -> tuple[str, float]:
-    """A driver's name and its seconds, as `idm=30.6`."""
-    name, is_there, number = text.partition("=")
-    if not name or not is_there:
-        raise argparse.ArgumentTypeError(f"expected NAME=SECONDS, found {text!r}")
-    return name, seconds(number)
+def mark(text: str) -> tuple[str, float | None]:
+    """A driver's name and its seconds, as `idm=30.6`, or None: to be found out."""
+    name, is_known, number = text.partition("=")
+    if not name:
+        raise argparse.ArgumentTypeError(f"expected AGENT or NAME=SECONDS, found {text!r}")
+    return name, seconds(number) if is_known else None
 
 
 def main(arguments: argparse.Namespace) -> int:
     """Train, write, say how it went."""
     from hatn_sim.errors import InputError
+    from hatn_sim.plugins import load_agent
 
     out: Path = arguments.out
     if find_spec("stable_baselines3") is None:
@@ -123,6 +126,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise InputError(f"{out}: exists already; expected a new folder: choose another --out")
     if not 0 <= arguments.seed < 2**31:
         raise InputError(f"--seed {arguments.seed}: expected 0 to {2**31 - 1}")
+    agents = {name: load_agent(name) for name, time_s in arguments.mark if time_s is None}
     rows = _train(arguments, out / f"{arguments.algorithm}.safetensors")
     if not rows:
         print(
@@ -130,12 +134,14 @@ def main(arguments: argparse.Namespace) -> int:
             "give it more --minutes or --steps, and another --out"
         )
         return 0
-    _draw(arguments, rows)
+    marks_s = _marks_s(arguments, agents)
+    _draw(arguments, rows, marks_s)
+    beside = "".join(f"; {name} takes {marks_s[name]:.1f} s" for name in agents)
     last = rows[-1]
     print(
         f"{out}: {last.episodes:,} episodes, {last.steps:,} decisions in {last.minutes:.0f} min; "
         f"over the last ones {last.time_s:.1f} s to cross, {last.arrived:.0%} arrived, "
-        f"{last.collided:.0%} collided"
+        f"{last.collided:.0%} collided{beside}"
     )
     return 0
 
@@ -180,7 +186,23 @@ def _train(arguments: argparse.Namespace, path: Path) -> list[Progress]:
     return rows
 
 
-def _draw(arguments: argparse.Namespace, rows: list[Progress]) -> None:
+def _marks_s(arguments: argparse.Namespace, agents: dict[str, Agent]) -> dict[str, float]:
+    """The times to be drawn, those of `agents` found out by driving."""
+    from hatn_sim.commands.train_progress import TrainProgress
+    from hatn_sim.policies.beside import mean_time_s
+
+    traffic = {key: getattr(arguments, key) for key in ("density", "risk")}
+    marks_s = {name: time_s for name, time_s in arguments.mark if time_s is not None}
+    with TrainProgress(arguments.quiet) as watch:
+        for name, agent in agents.items():
+            tell = partial(watch.step, f"episodes of {name}", words="")
+            marks_s[name] = mean_time_s(
+                agent, arguments.scenes, arguments.predictor, tell, **traffic
+            )
+    return marks_s
+
+
+def _draw(arguments: argparse.Namespace, rows: list[Progress], marks_s: dict[str, float]) -> None:
     import numpy as np
 
     from hatn_sim.report.policy_figure import draw_learning
@@ -190,7 +212,7 @@ def _draw(arguments: argparse.Namespace, rows: list[Progress]) -> None:
         np.array([row.steps / 1000.0 for row in rows]),
         np.array([row.time_s for row in rows]),
         np.array([row.collided for row in rows]),
-        dict(arguments.mark),
+        marks_s,
         arguments.out / "progress.png",
     )
 

@@ -28,6 +28,7 @@ from hatn_sim.envs.traffic import check_scene, ego_of, scenario_of, warm_up_s
 from hatn_sim.envs.turns import Turn, taken
 from hatn_sim.loop import KEPT_LINES, RELEASE_FRAMES, LineSource
 from hatn_sim.planning.situation import Situation, on_route, situation_of
+from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_config import MAX_SEED
 from hatn_sim.traffic import open_traffic
@@ -219,6 +220,16 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         if isinstance(self._simulator, SumoSimulator) and isinstance(first, SumoSimulator):
             self._simulator.share_road(first)
             self._on_this_road = others
+
+    @property
+    def road(self) -> Road:
+        """Of the scene. Raises NeedsResetError."""
+        return self._running().road
+
+    @property
+    def frame(self) -> Frame:
+        """The last one, its `Truth` included: for judges, not for planners. As `road`."""
+        return self._running().frame
 
     def situation(self, has_stopped: bool) -> Situation | None:
         """What the ego sees on its own way; None where it is gone, or on no line.
