@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import crossing_lanes, scene_of
 
 from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.config import load_scenario
-from hatn_sim.datatypes import DT_S, Advice, Agent, Scene
+from hatn_sim.datatypes import DT_S, Advice, Agent, Gate, Scene
 from hatn_sim.loop import Adviser, Driver, run, warm_up
 from hatn_sim.planning.courtesy import LAWLESS, RUDE, heedless
 from hatn_sim.planning.doubt import AFTER_S, Doubt, doubts_m, learn
@@ -59,7 +59,26 @@ def test_what_a_driver_sees_of_its_way(crossing: Road) -> None:
     np.testing.assert_allclose(now.meetings.other_room_m, 30.0 - 3.5, atol=0.3)
     assert not now.meetings.gives_way.any()
     now = seen(crossing, {"ego": (0.0, -20.0, UP, 8.0), "foe": (-30.0, 0.0, 0.0, 8.0)}, SOUTH_NORTH)
-    assert now.meetings.gives_way.all() and now.stop_m == np.inf
+    assert now.meetings.gives_way.all() and now.stop_m == now.gate_m == np.inf
+
+
+def test_who_has_a_line_waits_if_it_still_can_stop_there() -> None:
+    stop, give_way = Gate.STOP_LINE, Gate.GIVE_WAY_LINE
+    for own, its, own_y, foe_x, foe_mps, waits in (
+        (Gate.NONE, stop, -20.0, -30.0, 8.0, True),
+        (Gate.NONE, stop, -20.0, -14.0, 6.0, False),  # 3.5 m: 5.1 m/s2
+        (give_way, stop, -20.0, -30.0, 8.0, False),  # both have one ahead
+        (give_way, stop, -4.0, -30.0, 8.0, True),  # the ego has passed its own
+        (give_way, give_way, -4.0, -30.0, 8.0, False),  # and they are equals
+    ):
+        gates = {"s": own, "w": its}
+        lanes = [replace(one, gate=gates.get(one.id, one.gate)) for one in crossing_lanes()]
+        here = {"ego": (0.0, own_y, UP, 4.0), "foe": (foe_x, 0.0, 0.0, foe_mps)}
+        now = seen(Road(lanes), here, SOUTH_NORTH)
+        has_line = own is give_way and own_y == -20.0
+        assert now.gate_m == (pytest.approx(20.0 - 2.5 - 8.0) if has_line else np.inf)
+        assert now.stop_m == np.inf
+        assert now.meetings.will_wait.tolist() == [waits], (own, its, own_y, foe_x)
 
 
 def test_the_way_is_the_one_it_was_told(crossing: Road) -> None:

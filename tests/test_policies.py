@@ -25,11 +25,16 @@ from hatn_sim.envs.mind import glance, open_mind, think
 from hatn_sim.envs.observation import Ego, Observation, observe_slots
 from hatn_sim.errors import InputError, SimulatorError
 from hatn_sim.loop import Adviser, begin, tick
-from hatn_sim.planning.situation import Meetings, Situation
+from hatn_sim.planning.situation import Situation
 from hatn_sim.policies.beside import mean_time_s
 from hatn_sim.policies.driver import PolicyAgent, observed, sight_of
 from hatn_sim.policies.inputs import Layout, Moment, inputs_of
-from hatn_sim.policies.law import LEVELS_MPS2, REACTION_S, allowed_mps, lawful_mps2, level_mps2
+from hatn_sim.policies.law import (
+    LEVELS_MPS2,
+    REACTION_S,
+    lawful_mps2,
+    yielding_mps,
+)
 from hatn_sim.policies.lawful_env import make_lawful, share_of
 from hatn_sim.policies.network import (
     Network,
@@ -45,14 +50,13 @@ from hatn_sim.road import Road
 from hatn_sim.simulators.sumo import SumoSimulator
 
 NAMES = [one.name for one in OWN + ON_ROAD]
-GATE = "centre to a stop line, give-way line or closed signal, 50: none"
 LENGTH_M = 5.0
 
 
 def on_road(speed_mps: float, limit_mps: float = 10.0, **more: float) -> Observation:
     """An ego on a straight road without anybody."""
     own = np.zeros(len(NAMES), np.float32)
-    values = {"speed": speed_mps, "length": LENGTH_M, GATE: 50.0} | more
+    values = {"speed": speed_mps, "length": LENGTH_M} | more
     for name, value in values.items():
         own[NAMES.index(name)] = value
     own[len(OWN)] = 1.0
@@ -68,182 +72,6 @@ def on_road(speed_mps: float, limit_mps: float = 10.0, **more: float) -> Observa
         "trajectories": np.zeros((VEHICLES + 1, MODES, POINTS, 2), np.float32),
         "mode_probability": np.zeros((VEHICLES + 1, MODES), np.float32),
     }
-
-
-# -- the law --------------------------------------------------------------------------------------
-
-
-def meeting(**more: Any) -> Meetings:
-    """Nobody is met, or one: 8 m from the ego's nose to an area of 6 m, a car's length beyond it.
-
-    `more` are numbers of that one.
-    """
-    one = {"room_m": 8.0, "clear_m": 19.0, "other_room_m": 30.0, "other_clear_m": 41.0} | more
-    count = int(bool(more))
-    return Meetings(
-        other=np.ones(count, np.int64),
-        merges=np.full(count, one.pop("merges", False)),
-        gives_way=np.full(count, one.pop("gives_way", False)),
-        **{name: np.full(count, value) for name, value in one.items()},
-    )
-
-
-def driving(
-    speed_mps: float, other_mps: float = 0.0, met: Meetings | None = None, **more: Any
-) -> Any:
-    """An ego on a straight road with a limit of 10 m/s, and another car somewhere."""
-    road = Road(crossing_lanes())
-    scene = scene_of(0.0, {"ego": (0, 0, 0, speed_mps), "other": (50.0, 0, 0, other_mps)})
-    scene = replace(scene, size_m=np.full((2, 2), [LENGTH_M, 1.8]))
-    lines: Any = None  # the law reads none
-    given: dict[str, Any] = {
-        "allowed_mps": np.full(56, 10.0),
-        "leader": -1,
-        "gap_m": np.inf,
-        "stop_m": np.inf,
-        "gate_m": np.inf,
-        "has_stopped": False,
-    }
-    half_m = 0.5 * LENGTH_M
-    return Situation(
-        road=road,
-        scene=scene,
-        lines=lines,
-        ego=0,
-        line=0,
-        s_m=0.0,
-        speed_mps=speed_mps,
-        half_m=half_m,
-        meetings=met or meeting(),
-        **given | more,
-    )
-
-
-def allowed(now: Situation, other_gains_mps2: float = 0.0) -> float:
-    return allowed_mps(now, np.array([0.0, other_gains_mps2]))
-
-
-def stop_mps(way_m: float, there_mps: float = 0.0, reaction_s: float = REACTION_S) -> float:
-    """From how fast braking at 2.5 m/s2 gets down to that, so far on, after a reaction."""
-    return float(max(np.roots([1.0, 5.0 * reaction_s, -5.0 * way_m - there_mps**2])))
-
-
-def test_allowed_speeds_worked_out_by_hand() -> None:
-    assert allowed(driving(3.0)) == pytest.approx(10.0)
-    # A quarter of a second on, at 8 m/s, it is 2 m ahead: in the second column, every 2 m.
-    slower = np.array([9.0, 7.0, 6.0, 5.0, *[5.0] * 52])
-    assert allowed(driving(8.0, allowed_mps=slower)) == pytest.approx(7.0)
-    # 12 m to one who stands, of which 2 m are kept, after a second: -2.5 + sqrt(2.5^2 + 50) = 5.
-    assert allowed(driving(3.0, leader=1, gap_m=12.0)) == pytest.approx(5.0)
-    # 6 m to the line, 0.7 m are kept.
-    assert allowed(driving(3.0, stop_m=6.0, gate_m=6.0)) == pytest.approx(stop_mps(5.3))
-    # A line that it has stood at, or need not stop at, holds nobody.
-    assert allowed(driving(3.0, gate_m=6.0)) == pytest.approx(10.0)
-    # 10^2 / 2 / 8 = 6.25 m/s2 are more than anybody expects at a signal that closes.
-    assert allowed(driving(10.0, stop_m=8.0)) == pytest.approx(10.0)
-    assert allowed(driving(10.0, stop_m=10.5)) == pytest.approx(stop_mps(9.8))
-
-
-def test_whoever_can_no_longer_stop_goes_first() -> None:
-    # 8^2 / 5 + 8 * 0.5 = 16.8 m to stop. From 3 m/s, at 2 m/s2, the ego is clear in 3.1 s.
-    clear_s = (np.sqrt(9.0 + 4.0 * 19.0) - 3.0) / 2.0
-    assert clear_s == pytest.approx(3.11, abs=0.01)
-    bound = meeting(other_room_m=16.5, other_clear_m=27.5)
-    assert allowed(driving(3.0, 8.0, bound)) == pytest.approx(stop_mps(7.0))
-    # Before a line it waits there, where it is in nobody's way.
-    assert allowed(driving(3.0, 8.0, bound, gate_m=3.0)) == pytest.approx(stop_mps(2.3))
-    # Who is there only when the ego has been gone for a second is in nobody's way either.
-    slow = replace(bound, clear_m=np.full(1, 5.0), room_m=np.full(1, 0.5))
-    assert (np.sqrt(36.0 + 20.0) - 6.0) / 2.0 + 1.0 < 16.5 / 8.0
-    assert allowed(driving(6.0, 8.0, slow)) == pytest.approx(10.0)
-    # Nor who is out before the ego comes: 2.0 m at 8 m/s, 8 m from 3 m/s.
-    gone = meeting(other_room_m=-9.0, other_clear_m=2.0)
-    leaves = driving(3.0, 8.0, gone)
-    assert allowed(leaves) == pytest.approx(stop_mps(7.0))  # but it is in the area now
-
-
-def test_whoever_would_be_there_with_the_ego_goes_first_if_sooner() -> None:
-    # Clear in 3.11 s; at 5 m/s, 15 m take 3 s, 16 m take 3.2 s, and both could still stop.
-    for room_m, expected in ((15.0, stop_mps(7.0)), (16.0, 10.0)):
-        free = meeting(other_room_m=room_m, other_clear_m=room_m + 11.0)
-        assert allowed(driving(3.0, 5.0, free)) == pytest.approx(expected)
-        assert allowed(driving(3.0, 5.0, replace(free, gives_way=np.full(1, True)))) == 10.0
-        # It is not held at a line for who may still change his mind.
-        assert allowed(driving(3.0, 5.0, free, gate_m=3.0)) == pytest.approx(expected)
-    # 2.5 m/s2 bring 20 m within 2.4 s of 5 m/s, 24 m within 2.8 s, however fast it gains.
-    gaining = meeting(other_room_m=20.0, other_clear_m=31.0)
-    assert allowed(driving(3.0, 5.0, gaining)) == pytest.approx(10.0)
-    assert allowed(driving(3.0, 5.0, gaining), 2.5) == pytest.approx(stop_mps(7.0))
-    assert allowed(driving(3.0, 5.0, gaining), 0.3) == pytest.approx(10.0)
-    # Who has stood still stands.
-    assert allowed(driving(3.0, 0.4, meeting(other_room_m=1.0))) == pytest.approx(10.0)
-    # Nobody waits where its nose is in the area, or where it cannot stop before it.
-    late = meeting(room_m=-0.5, clear_m=10.0, other_room_m=2.0, other_clear_m=13.0)
-    assert allowed(driving(3.0, 5.0, late)) == pytest.approx(10.0)
-    late = meeting(room_m=3.0, clear_m=14.0, other_room_m=2.0, other_clear_m=13.0)
-    assert allowed(driving(6.0, 5.0, late)) == pytest.approx(10.0)
-
-
-def test_whoever_merges_ahead_is_followed_or_waited_for() -> None:
-    # 6 - 2 m between fronts, of which 5 m are its length and 2 m are kept: it is to be 3 m/s slower
-    # than whoever is ahead, or able to stop within 5 m, whichever is faster.
-    ahead = meeting(merges=True, room_m=6.0, clear_m=11.0, other_room_m=2.0, other_clear_m=7.0)
-    assert allowed(driving(3.0, 3.0, ahead)) == pytest.approx(stop_mps(5.0))
-    # When its nose is in, it can only follow: 5 m are missing.
-    inside = replace(ahead, room_m=np.full(1, -0.5), other_room_m=np.full(1, -2.5))
-    assert allowed(driving(3.0, 8.0, inside)) == pytest.approx(stop_mps(0.0, there_mps=8.0) - 5.0)
-    # 14 - 2 m between fast ones: to follow lets it be faster than to be able to stop.
-    far = replace(ahead, room_m=np.full(1, 14.0), clear_m=np.full(1, 19.0))
-    long = replace(far, other_clear_m=np.full(1, 15.0))
-    follows = stop_mps(5.0, there_mps=8.0)
-    assert stop_mps(13.0) < follows < 10.0
-    assert allowed(driving(9.0, 8.0, long)) == pytest.approx(follows)
-    # Who is past the point before the ego comes is a leader like any other by then.
-    assert allowed(driving(3.0, 6.0, far)) == pytest.approx(10.0)
-
-
-def test_nobody_knows_the_law_of_an_unknown_road() -> None:
-    assert lawful_mps2(None, np.zeros(2)) == 0.0
-    assert lawful_mps2(driving(3.0, leader=1, gap_m=12.0), np.zeros(2)) == pytest.approx(4.0)
-    assert level_mps2(LEVELS_MPS2.index(-3.0), 0.0) == -3.0
-    assert level_mps2(len(LEVELS_MPS2) - 1, 0.0) == 0.0
-
-
-def test_a_level_is_an_action_of_the_environment() -> None:
-    for wanted in (-8.0, -3.0, 0.0, 1.4):
-        share = share_of(wanted)
-        assert (share * FASTER_MPS2 if share >= 0 else -share * SLOWER_MPS2) == wanted
-
-
-@pytest.mark.parametrize("speed_mps", [0.5, 6.0, 10.0])
-@pytest.mark.parametrize("what", ["line", "area", "bend"])
-def test_the_fastest_driver_within_the_law_is_slow_enough_in_time(
-    speed_mps: float, what: str
-) -> None:
-    way_m, fastest, hardest = 60.0, 0.0, 0.0
-    for _ in range(80):
-        if what == "line":
-            now = driving(speed_mps, stop_m=way_m)
-        elif what == "area":  # of somebody who comes and never gets there
-            now = driving(
-                speed_mps, 8.0, meeting(room_m=way_m, clear_m=way_m + 11.0, other_room_m=9.0)
-            )
-        else:
-            from_here_m = np.maximum(way_m - 2.0 * np.arange(56), 0.0)
-            profile = np.minimum(10.0, np.sqrt(16.0 + 2.0 * 1.5 * from_here_m))
-            now = driving(speed_mps, allowed_mps=profile)
-        level = level_mps2(len(LEVELS_MPS2) - 1, lawful_mps2(now, np.zeros(2)))
-        after_mps = max(speed_mps + REACTION_S * level, 0.0)
-        way_m -= 0.5 * (speed_mps + after_mps) * REACTION_S
-        speed_mps = after_mps
-        fastest, hardest = max(fastest, speed_mps), max(hardest, -level)
-        if what != "bend":
-            assert way_m > 0.0
-    assert fastest == pytest.approx(10.0, abs=0.1) and hardest < 4.0
-    if what == "bend":
-        assert speed_mps == pytest.approx(4.0, abs=0.01) and hardest < 2.5
-    else:
-        assert speed_mps < 0.3 and way_m < 1.2
 
 
 # -- what it knows ---------------------------------------------------------------------------------
@@ -365,6 +193,12 @@ def test_the_order_of_vehicles_is_without_effect() -> None:
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
     behind_mask = network.values(inputs_of(network.layout, told(masked)))
     np.testing.assert_array_equal(values[0], behind_mask)
+
+
+def test_a_level_is_an_action_of_the_environment() -> None:
+    for wanted in (-8.0, -3.0, 0.0, 1.4):
+        share = share_of(wanted)
+        assert (share * FASTER_MPS2 if share >= 0 else -share * SLOWER_MPS2) == wanted
 
 
 def test_weights_come_back_and_damaged_ones_are_refused(tmp_path: Path) -> None:
@@ -531,8 +365,32 @@ def test_an_agent_makes_graphs_itself_where_a_predictor_has_none(weights: Path) 
     assert agent.step(state, "somebody else", frame.scene, thought.advice) == (state, None)
 
 
-def test_an_agent_drives_as_its_network_does_in_the_environment(weights: Path) -> None:
-    network, steps, seed = load_network(weights), 12, 11
+def test_an_agent_drives_as_its_network_does_in_the_environment(
+    weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each law that is asked answers the same; here a line and others hold the ego back."""
+    asked: dict[str, list[tuple[bool, float]]] = {"lawful_env": [], "driver": []}
+    held = {"line": 0, "others": 0, "route": 0}
+
+    def spy(who: str) -> Any:
+        def lawful(now: Situation | None, gains: np.ndarray) -> float:
+            found = lawful_mps2(now, gains)
+            asked[who].append((now is not None and now.has_stopped, found))
+            if now is not None and who == "driver":
+                held["line"] += bool(np.isfinite(now.stop_m) and found < 2.0)
+                held["others"] += len(yielding_mps(now, gains))
+                held["route"] += now.line != seen_lines[-1]
+            return found
+
+        return lawful
+
+    for who in asked:
+        monkeypatch.setattr(f"hatn_sim.policies.{who}.lawful_mps2", spy(who))
+    seen_lines: list[int] = []
+    network, steps, seed = load_network(weights), 52, 11
+    last = max(name for name in network.tensors if name.startswith("head") and "bias" in name)
+    network.tensors[last][:] = 9.0 * np.arange(len(LEVELS_MPS2)) ** 2  # it would rather go
+    save_network(weights, network)
     env = make_lawful("intersection5", "hatn", network.layout, warm_up_s=20.0, ego="taken_over")
     row, info = env.reset(seed=seed)
     ego_id, driven = info["ego_id"], []
@@ -557,6 +415,7 @@ def test_an_agent_drives_as_its_network_does_in_the_environment(weights: Path) -
             command = None
             if frame.scene.time_s > begins_s - 0.01:
                 own = frame.scene.ids.index(ego_id)
+                seen_lines.append(int(advice.prediction.lines.line[own]))
                 state = agent.guide(state, frame.truth.routes[own])
                 state, command = agent.step(state, ego_id, frame.scene, advice)
                 if state.frames % 5 == 1 and state.frames > 1:
@@ -565,6 +424,12 @@ def test_an_agent_drives_as_its_network_does_in_the_environment(weights: Path) -
     finally:
         simulator.close()
     np.testing.assert_allclose(ours, driven, atol=1e-6)
+    theirs = asked["lawful_env"][: len(asked["driver"])]
+    assert [stood for stood, _ in asked["driver"]] == [stood for stood, _ in theirs]
+    lawful = [[found for _, found in one] for one in (asked["driver"], theirs)]
+    np.testing.assert_allclose(*lawful, atol=1e-6)
+    assert all(held.values()), held
+    assert any(stood for stood, _ in theirs)
 
 
 @pytest.mark.parametrize("name", ["ppo", "dqn"])

@@ -12,13 +12,26 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.pairs import at_conflicts
-from hatn_sim.datatypes import BoolArray, ConflictType, FloatArray, IntArray, Lines, Route, Scene
+from hatn_sim.datatypes import (
+    BoolArray,
+    ConflictType,
+    FloatArray,
+    Gate,
+    IntArray,
+    Lines,
+    Route,
+    Scene,
+)
 from hatn_sim.graph import Gates, gates_ahead
 from hatn_sim.perception import PerceptionState, begin, find_leaders, perceive
 from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.speed_profile import allowed_speed_mps
 
 STANDING_MPS: Final = 0.3
+GATE_BEHIND_M: Final = 10.0
+"""A line that the ego's front bumper has passed by less counts as one of this crossing."""
+STOPS_MPS2: Final = 4.5
+"""How hard others brake for a line at most (SUMO's default)."""
 AT_LINE_M: Final = 3.0
 """Who has stood this near to a stop line has done what it asks for."""
 
@@ -46,6 +59,9 @@ class Meetings:
     other_room_m: FloatArray  # [J]
     other_clear_m: FloatArray  # [J]
     gives_way: BoolArray  # [J] the other has a gate before the area, the ego none
+    will_wait: (
+        BoolArray  # [J] of those, who can still stop at it, and had none of the ego's to heed
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +183,11 @@ def _meetings(road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int) ->
     its = 1 - mine
     other, other_room_m = pairs.index[row, its], pairs.room_m[row, its]
     gate_m = _gate_m(gates)
+    gives_way = (gate_m[other] <= other_room_m) & (gate_m[ego] > room_m)
+    can_stop = scene.speed_mps**2 <= 2.0 * STOPS_MPS2 * np.maximum(gate_m, 0.0)
+    # At two lines to give way at, both are equal; at a stop line one stops whoever else did.
+    has_to_stop = np.minimum(gates.stop_m, gates.closed_m)[other] <= other_room_m
+    had_line = _gate_behind_m(road, scene, lines, ego) < GATE_BEHIND_M
     return Meetings(
         other=other,
         merges=pairs.type[row] == ConflictType.MERGE,
@@ -174,9 +195,20 @@ def _meetings(road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int) ->
         clear_m=pairs.clear_m[row, mine],
         other_room_m=other_room_m,
         other_clear_m=pairs.clear_m[row, its],
-        gives_way=(gate_m[other] <= other_room_m) & (gate_m[ego] > room_m),
+        gives_way=gives_way,
+        will_wait=gives_way & can_stop[other] & (has_to_stop | (not had_line)),
     )
 
 
 def _gate_m(gates: Gates) -> FloatArray:
     return np.minimum(np.minimum(gates.stop_m, gates.give_way_m), gates.closed_m)
+
+
+def _gate_behind_m(road: Road, scene: Scene, lines: Lines, ego: int) -> float:
+    """From the last line to stop or give way at, to the front bumper; inf: there was none."""
+    line = lines.line[ego]
+    front_m = lines.s_m[ego] + 0.5 * scene.size_m[ego, 0]
+    behind_m = front_m - road.gate_s_m[line]
+    kind = road.gate_type[line]
+    counts = (behind_m > 0.0) & ((kind == Gate.STOP_LINE) | (kind == Gate.GIVE_WAY_LINE))
+    return float(behind_m[counts].min(initial=np.inf))

@@ -57,7 +57,7 @@ class PolicyAgent:
         if ego_id not in scene.ids:
             return state, None
         row = scene.ids.index(ego_id)
-        if advice.prediction.graphs is None:
+        if advice.prediction.graphs is None or advice.prediction.lines is None:
             state = replace(state, perception=perceive(state.perception, scene, None))
         if state.frames % HOLDS_FRAMES == 0:
             state = self._decided(state, row, scene, advice)

@@ -19,7 +19,7 @@ from hatn_sim.planning.following import (
     TOO_LATE_MPS2,
     time_over_s,
 )
-from hatn_sim.planning.situation import Meetings, Situation
+from hatn_sim.planning.situation import Situation
 from hatn_sim.policies.timing import steady_gain_s
 from hatn_sim.speed_profile import PROFILE_STEP_M
 
@@ -38,6 +38,11 @@ MOVING_MPS: Final = 0.5
 """Who is slower is not waited for outside the area."""
 AHEAD_S: Final = 1.0
 """From when the ego is out of an area until somebody comes who can no longer stop before it."""
+LIKELY_MPS2: Final = 3.5
+"""It brakes no harder than this for who could brake, too."""
+LEADER_GAIN_MPS2: Final = 1.0
+"""How a leader that moves is taken to drive on; one that stands does not."""
+LEAST_MPS: Final = 0.1
 HARDEST_GAIN_MPS2: Final = 2.5
 """Others do not gain speed faster than this for long."""
 
@@ -74,31 +79,40 @@ def yielding_mps(now: Situation, gains_mps2: FloatArray) -> FloatArray:
 
     Those are who is in the area, who can no longer stop before it, and who would be there, without
     having to give way, while the ego is: at its present acceleration, and the ego at its highest.
-    For all of them it keeps able to stop before the area, as long as it is, or to follow whoever
-    merges ahead of it.
+    For all of them it keeps able to stop before the area, or to follow whoever merges ahead of it.
+    Where it is too late for either, it gains no speed; in front of who is in the area already it
+    brakes all the same, and it goes no farther in where somebody crosses before it.
     """
-    met = now.meetings
+    met, ego_mps = now.meetings, now.speed_mps
     speed_mps = now.scene.speed_mps[met.other]
     inside = (met.other_room_m <= 0.0) & (met.other_clear_m > 0.0)
     moving = speed_mps > MOVING_MPS
     braking_m = speed_mps**2 / (2.0 * BRAKING_MPS2) + REACTION_S * speed_mps
     bound = moving & (braking_m > met.other_room_m)
-    certain = inside | (bound & _meets(now, met, gains_mps2, AHEAD_S))
-    likely = moving & ~met.gives_way & _meets(now, met, gains_mps2, 0.0)
-    follows = met.merges & (met.other_room_m < met.room_m)
-    hardest_mps2 = np.where(certain, TOO_LATE_MPS2, BRAKING_MPS2)
-    stops = (met.room_m > 0.0) & ~_too_late(now.speed_mps, met.room_m, hardest_mps2)
+    certain = inside | (bound & _meets(now, gains_mps2, AHEAD_S))
+    likely = moving & ~met.will_wait & _meets(now, gains_mps2, 0.0)
     # Who stands beyond its line is in the way of others: it waits there for who comes for certain.
-    wait_m = met.room_m - SHORT_M
-    wait_m = np.where(certain, np.minimum(wait_m, now.gate_m - BEFORE_LINE_M), wait_m)
-    wait_mps = np.where(stops, safe_mps(wait_m, 0.0), np.where(follows, 0.0, np.inf))
+    line_m = now.gate_m - BEFORE_LINE_M
+    at_line = certain & ~_too_late(ego_mps, line_m, BRAKING_MPS2)
+    wait_m = np.minimum(met.room_m - SHORT_M, np.where(at_line, line_m, np.inf))
+    hardest_mps2 = np.where(certain, TOO_LATE_MPS2, LIKELY_MPS2)
+    stops = (met.room_m > 0.0) & ~_too_late(ego_mps, met.room_m, hardest_mps2)
+    stays = inside & (met.room_m > 0.0) & (met.other_clear_m * ego_mps >= met.room_m * speed_mps)
+    blocked = inside & ~met.merges & (met.room_m <= 0.0) & (met.other_room_m < met.room_m)
+    wait_mps = np.where(stops | stays, safe_mps(wait_m, 0.0), ego_mps)
+    wait_mps = np.where(met.room_m > 0.0, wait_mps, np.where(blocked, 0.0, np.inf))
+    # Who is beside the ego is not followed: it waits until there is room behind.
     behind_m = met.room_m - met.other_room_m - now.scene.size_m[met.other, 0] - STANDSTILL_M
+    merges_ahead = met.merges & (met.other_room_m < met.room_m)
+    follows = merges_ahead & ((behind_m >= 0.0) | ~stops)
     follow_mps = np.where(follows, safe_mps(behind_m, speed_mps), 0.0)
+    wait_mps = np.where(merges_ahead & ~stops, 0.0, wait_mps)
     return np.maximum(wait_mps, follow_mps)[certain | likely]
 
 
-def _meets(now: Situation, met: Meetings, gains_mps2: FloatArray, ahead_s: float) -> BoolArray:
+def _meets(now: Situation, gains_mps2: FloatArray, ahead_s: float) -> BoolArray:
     """Who comes before the ego has been out of the area so long, and leaves after it comes [J]."""
+    met = now.meetings
     pace_mps = np.maximum(now.scene.speed_mps[met.other], MOVING_MPS)
     gain_mps2 = np.clip(gains_mps2[met.other], 0.0, HARDEST_GAIN_MPS2)
     comes_s = steady_gain_s(met.other_room_m, pace_mps, gain_mps2)
@@ -108,6 +122,11 @@ def _meets(now: Situation, met: Meetings, gains_mps2: FloatArray, ahead_s: float
         time_over_s(way_m, now.speed_mps, limit_mps, LEVELS_MPS2[-1])
         for way_m in (met.room_m, met.clear_m)
     )
+    # It is not out before there is room behind its leader.
+    leader_mps = np.full(len(clear_s), max(now.leader_mps, LEAST_MPS))
+    leader_gain = np.full(len(clear_s), LEADER_GAIN_MPS2 * (now.leader_mps > MOVING_MPS))
+    needed_m = met.clear_m + STANDSTILL_M - now.gap_m  # -inf without a leader
+    clear_s = np.maximum(clear_s, steady_gain_s(needed_m, leader_mps, leader_gain))
     return (comes_s < clear_s + ahead_s) & (leaves_s > enters_s)
 
 
