@@ -87,8 +87,8 @@ def stop_mps(way_m: float, there_mps: float = 0.0, reaction_s: float = REACTION_
 
 def test_allowed_speeds_worked_out_by_hand() -> None:
     assert allowed(driving(3.0)) == pytest.approx(10.0)
-    # A quarter of a second on, at 8 m/s, it is 2 m ahead: in the second column, every 2 m.
-    slower = np.array([9.0, 7.0, 6.0, 5.0, *[5.0] * 52])
+    # Where it is; what is ahead has been slowed down for.
+    slower = np.array([7.0, 6.5, 6.0, 5.0, *[5.0] * 52])
     assert allowed(driving(8.0, allowed_mps=slower)) == pytest.approx(7.0)
     # 12 m to one who stands, of which 2 m are kept, after a second: -2.5 + sqrt(2.5^2 + 50) = 5.
     assert allowed(driving(3.0, leader=1, gap_m=12.0)) == pytest.approx(5.0)

@@ -63,9 +63,8 @@ def level_mps2(level: int, lawful: float) -> float:
 
 def allowed_mps(now: Situation, gains_mps2: FloatArray) -> float:
     """The speed that an ego may have when it decides next."""
-    # Half way to where it decides next.
-    halfway_m = np.array([0.5 * now.speed_mps * REACTION_S])
-    some = [_limit_mps(now, halfway_m), yielding_mps(now, gains_mps2)]
+    # What the road allows here has been slowed down for already (`speed_profile`).
+    some = [now.allowed_mps[:1], yielding_mps(now, gains_mps2)]
     if not _too_late(now.speed_mps, now.stop_m, TOO_LATE_MPS2):
         some.append(safe_mps(np.array([now.stop_m - BEFORE_LINE_M]), 0.0))
     if now.leader >= 0:
