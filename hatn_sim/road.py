@@ -131,6 +131,12 @@ class Road:
         first = int(np.searchsorted(start, max(s_m - BEHIND_M, 0.0), side="right")) - 1
         return self.lines[line].route[max(first, 0) : max(now, 0) + 1]
 
+    def stretch(self, line: int, s_m: float) -> Route:
+        """The lanes of a line from `BEHIND_M` before an arc length to `AHEAD_M` behind it."""
+        start = self.lines[line].lane_start_s_m
+        first, last = np.searchsorted(start, [max(s_m - BEHIND_M, 0.0), s_m + AHEAD_M], "right")
+        return self.lines[line].route[max(int(first) - 1, 0) : int(last)]
+
     def lane_number(self, line: int, s_m: float) -> int:
         """A number for the lane of a line at an arc length, the same for every line over it."""
         start = self.lines[line].lane_start_s_m

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import crossing_lanes, scene_of
+from conftest import crossing_lanes, lane, scene_of
 
 from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.config import load_scenario
@@ -85,6 +85,21 @@ def test_the_way_is_the_one_it_was_told(crossing: Road) -> None:
     here = {"ego": (-20.0, 0.0, 0.0, 6.0)}
     for route in (WEST_EAST, ("w", "wn", "n")):
         assert seen(crossing, here, route).line == crossing.line(route)
+
+
+def test_every_line_of_a_long_way_is_seen() -> None:
+    """30 stop lines, more than a line of the road has room for."""
+    lanes = []
+    for k in range(30):
+        x = 60.0 * k
+        lanes.append(lane(f"a{k}", [(x, 0), (x + 50, 0)], f"c{k}", gate=Gate.STOP_LINE))
+        after = [f"a{k + 1}"] if k < 29 else []
+        lanes.append(lane(f"c{k}", [(x + 50, 0), (x + 60, 0)], *after, is_connection=True))
+    road, route = Road(lanes), tuple(one.id for one in lanes)
+    for k in (0, 10, 23, 24, 29):
+        now = seen(road, {"ego": (60.0 * k + 20.0, 0.5, 0.0, 8.0)}, route)
+        assert now.stop_m == pytest.approx(30.0 - 2.5, abs=0.01), k
+        assert now.lines.d_m[now.ego] == pytest.approx(0.5)
 
 
 def test_a_stop_line_is_kept_until_one_has_stood_at_it(crossing: Road) -> None:

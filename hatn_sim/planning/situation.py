@@ -28,6 +28,8 @@ from hatn_sim.road import LINE_STEP_M, Road
 from hatn_sim.speed_profile import allowed_speed_mps
 
 STANDING_MPS: Final = 0.3
+LONG_M: Final = 1000.0
+"""Ways longer than this are looked at as far as lines reach."""
 GATE_BEHIND_M: Final = 10.0
 """A line that the ego's front bumper has passed by less counts as one of this crossing."""
 STOPS_MPS2: Final = 4.5
@@ -152,16 +154,25 @@ def on_route(road: Road, scene: Scene, lines: Lines, ego: int, route: Route | No
     """The lines of a moment, the ego's by its route, where that is known and of this road."""
     if not route or any(name not in road.lanes for name in route):
         return lines
-    line = np.array([road.line(route)])
-    length_m = float(road.count[line[0]]) * LINE_STEP_M
-    xy_m = scene.xy_m[ego : ego + 1]
-    s_m, d_m = road.search(line, xy_m, np.zeros(1), length_m)
+    line, s_m, d_m = _on_line(road, scene, ego, route)
+    if float(road.count[line[0]]) * LINE_STEP_M > LONG_M:
+        # A line knows so many gates only; and what is far away need not be looked at.
+        line, s_m, d_m = _on_line(road, scene, ego, road.stretch(int(line[0]), float(s_m[0])))
     turned = scene.yaw_rad[ego] - road.line_yaw_rad(line, s_m)
     new = {"line": line, "s_m": s_m, "d_m": d_m, "phi_rad": turned, "probability": np.ones(1)}
     columns = {name: getattr(lines, name).copy() for name in new}
     for name, value in new.items():
         columns[name][ego] = value[0]
     return Lines(**columns)
+
+
+def _on_line(
+    road: Road, scene: Scene, ego: int, route: Route
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The line along a route, and where on it a vehicle is: arc length, offset; [1] each."""
+    line = np.array([road.line(route)])
+    length_m = float(road.count[line[0]]) * LINE_STEP_M
+    return line, *road.search(line, scene.xy_m[ego : ego + 1], np.zeros(1), length_m)
 
 
 def _leader(road: Road, scene: Scene, lines: Lines, ego: int) -> tuple[int, float]:
