@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -47,7 +47,9 @@ class Way:
         """The vehicle is here [2] now, a frame later."""
         low = min(max(int((self.s_m - BACK_M) / STEP_M), 0), len(self.xy_m) - 2)
         near = self.xy_m[low : int((self.s_m + AHEAD_M) / STEP_M) + 2]
-        return replace(self, s_m=_along(near, xy_m) + low * STEP_M)
+        s_m = _along(near, xy_m) + low * STEP_M
+        last, first = self.last_junction_s_m, self.first_crossing
+        return Way(self.route, self.xy_m, s_m, last, first, self.ends_m)  # faster than `replace`
 
     def is_crossed(self, length_m: float) -> bool:
         """Whether the rear bumper of a vehicle of this length has left all junctions behind."""

@@ -38,11 +38,11 @@ def rules_of(gate: Gate, slow: float = 13.9) -> Rules:
 
 def test_signs_along_a_way() -> None:
     rules = rules_of(Gate.STOP_LINE, slow=5.0)
-    assert rules.ends_m.tolist() == pytest.approx([100.0, 116.0, 266.0])
-    assert (rules.line_s_m.tolist(), rules.signal.tolist()) == ([100.0], [-1])
+    assert rules.ends_m == pytest.approx((100.0, 116.0, 266.0))
+    assert (rules.line_s_m, rules.signal) == ((100.0,), (-1,))
     # What a connection is given for its bend is no sign.
-    assert rules.limit_mps.tolist() == [13.9] * 3
-    assert rules_of(Gate.SIGNAL).signal.tolist() == [0]
+    assert rules.limit_mps == (13.9,) * 3
+    assert rules_of(Gate.SIGNAL).signal == (0,)
     for gate in (Gate.NONE, Gate.GIVE_WAY_LINE):
         assert not len(rules_of(gate).line_s_m)
 

@@ -6,12 +6,12 @@ nothing is forbidden.
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
-from hatn_sim.datatypes import DT_S, BoolArray, FloatArray, Gate, IntArray, Lane
+from hatn_sim.datatypes import DT_S, BoolArray, Gate, Lane
 from hatn_sim.road import Road
 from hatn_sim.way import Way
 
@@ -28,12 +28,16 @@ STOPPING_MPS2: Final = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """The signs along a way of L lanes with G lines across it; arc lengths are those of `Way`."""
+    """The signs along a way of L lanes with G lines across it; arc lengths are those of `Way`.
 
-    ends_m: FloatArray  # [L]
-    limit_mps: FloatArray  # [L]
-    line_s_m: FloatArray  # [G] rising
-    signal: IntArray  # [G] index into Scene.signal_closed; -1: a stop line
+    Tuples, for they are looked up one by one, in every frame.
+    """
+
+    ends_m: Sequence[float]  # [L]
+    limit_mps: Sequence[float]  # [L]
+    line_s_m: Sequence[float]  # [G] rising
+    signal: Sequence[int]  # [G] index into Scene.signal_closed; -1: a stop line
+    passed_s_m: Sequence[float]  # [G] where front bumpers have passed the lines
 
 
 @dataclass(frozen=True)
@@ -56,10 +60,11 @@ def rules_along(road: Road, way: Way) -> Rules:
         if (signal := _line_of(lane, following)) is not None
     ]
     return Rules(
-        np.array(ends_m),
-        np.array([_limit_mps(lanes, k) for k in range(len(lanes))]),
-        np.array([s_m for s_m, _ in found]),
-        np.array([signal for _, signal in found], dtype=np.int64),
+        tuple(ends_m),
+        tuple(_limit_mps(lanes, k) for k in range(len(lanes))),
+        tuple(s_m for s_m, _ in found),
+        tuple(signal for _, signal in found),
+        tuple(s_m + OVER_M for s_m, _ in found),
     )
 
 
@@ -83,8 +88,8 @@ def may_pass(rules: Rules, may: bool, front_m: float, speed_mps: float, closed: 
     ahead = _ahead(rules, front_m)
     if ahead == len(rules.line_s_m):
         return False
-    away_m = float(rules.line_s_m[ahead]) - front_m
-    signal = int(rules.signal[ahead])
+    away_m = rules.line_s_m[ahead] - front_m
+    signal = rules.signal[ahead]
     if signal < 0:
         return away_m < AT_LINE_M and (may or speed_mps < STANDING_MPS)
     return not closed[signal] or (may and speed_mps**2 / (2.0 * STOPPING_MPS2) > away_m)
@@ -109,10 +114,10 @@ def still_came_mps(rules: Rules, step: Step) -> float:
 
 
 def _limit_at(rules: Rules, step: Step) -> float:
-    lane = int(np.searchsorted(rules.ends_m, step.after_m - step.half_m, side="right"))
-    return float(rules.limit_mps[min(lane, len(rules.limit_mps) - 1)])
+    lane = bisect_right(rules.ends_m, step.after_m - step.half_m)
+    return rules.limit_mps[min(lane, len(rules.limit_mps) - 1)]
 
 
 def _ahead(rules: Rules, front_m: float) -> int:
     """The number of the first line that is not passed yet."""
-    return int(np.searchsorted(rules.line_s_m + OVER_M, front_m, side="right"))
+    return bisect_right(rules.passed_s_m, front_m)
