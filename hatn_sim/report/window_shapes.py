@@ -17,7 +17,6 @@ from hatn_sim.report.moment import moves, slot_strip
 from hatn_sim.road import Road
 from hatn_sim.simulators.sumo_messages import Mark, Paint, Picture, Ribbon, View
 
-HALO_LAYER: Final = 90
 SLOT_LAYER: Final = 100
 WAY_LAYER: Final = 110
 SLOT_WIDTH_M: Final = 2.8
@@ -27,13 +26,17 @@ THIN_OPACITY: Final = 0.6
 LEAST_CHANCE: Final = 0.05
 """Modes that are less probable are not drawn."""
 MARK_WIDTH_M: Final = 1.4
-EGO: Final = ("white", INK)
-"""Colours of what is around an ego, from the vehicle outwards."""
-ALERTED: Final = (ALERT, "white")
-RING_M: Final = 0.55
-"""Around a vehicle: how far each of two colours reaches further than what is within."""
 MOST_LINES: Final = 3
 """Of words at once."""
+
+
+def _paint(colour: str, opacity: float = 1.0) -> Paint:
+    red, green, blue = to_rgb(colour)
+    return round(255 * red), round(255 * green), round(255 * blue), round(255 * opacity)
+
+
+EGO_RINGS: Final = (_paint("white"), _paint(INK))
+ALERTED_RINGS: Final = (_paint(ALERT), _paint("white"))
 
 
 def picture_of(
@@ -53,7 +56,7 @@ def picture_of(
     prediction = advice.prediction
     ribbons = _ways(scene, prediction, egos)
     marks: dict[str, Mark] = {}
-    around: dict[str, tuple[str | Paint, str | Paint]] = {}
+    rings: dict[str, tuple[Paint, ...]] = {}
     graphs, chances, lines = prediction.graphs, prediction.slot_probability, prediction.lines
     begin_xy_m: FloatArray | None = None
     if graphs is not None and chances is not None and lines is not None:
@@ -70,14 +73,12 @@ def picture_of(
                     strip_xy_m, SLOT_WIDTH_M, paint, SLOT_LAYER
                 )
                 if m > 0:
-                    around[rear_id] = paint, INK
+                    rings[rear_id] = paint, _paint(INK)
                     at = begin_xy_m = graphs.conflict_xy_m[row, m]
                     marks[f"conflict:{ego_id}:{rear_id}"] = Mark(at, MARK_WIDTH_M, _paint(INK))
-    around |= dict.fromkeys(egos, EGO)
-    around |= {name: ALERTED for one in alerts for name in (one.ego_id, one.other_id)}
-    return Picture(
-        ribbons | _rings(scene, around), marks, words_of(advice, egos, alerts), followed, begin_xy_m
-    )
+    rings |= dict.fromkeys(egos, EGO_RINGS)
+    rings |= {name: ALERTED_RINGS for one in alerts for name in (one.ego_id, one.other_id)}
+    return Picture(ribbons, marks, rings, words_of(advice, egos, alerts), followed, begin_xy_m)
 
 
 def words_of(advice: Advice, egos: Collection[str], alerts: Collection[Alert]) -> tuple[str, ...]:
@@ -85,27 +86,6 @@ def words_of(advice: Advice, egos: Collection[str], alerts: Collection[Alert]) -
     warned = [f"Alert! {one.ego_id}: {one.text or one.reason}" for one in reversed([*alerts])]
     told = [f"{one.ego_id}: {one.text}" for one in advice.suggestions if one.ego_id in egos]
     return tuple([*warned, *told][:MOST_LINES])
-
-
-def _rings(
-    scene: Scene, around: Mapping[str, tuple[str | Paint, str | Paint]]
-) -> dict[str, Ribbon]:
-    """Two colours around each of these vehicles that is there, under it."""
-    rings: dict[str, Ribbon] = {}
-    for i, name in enumerate(scene.ids):
-        if name not in around:
-            continue
-        ahead = np.array([np.cos(scene.yaw_rad[i]), np.sin(scene.yaw_rad[i])])
-        length_m, width_m = scene.size_m[i].tolist()
-        for ring, colour in enumerate(around[name], start=1):
-            half_m = (0.5 * length_m + ring * RING_M) * ahead
-            rings[f"ring:{ring}:{name}"] = Ribbon(
-                np.stack((scene.xy_m[i] - half_m, scene.xy_m[i] + half_m)),
-                width_m + 2.0 * ring * RING_M,
-                _paint(colour) if isinstance(colour, str) else colour,
-                HALO_LAYER - ring,
-            )
-    return rings
 
 
 def _ways(scene: Scene, prediction: Prediction, egos: Collection[str]) -> dict[str, Ribbon]:
@@ -175,8 +155,3 @@ def alerted_after(before: Mapping[str, Alert], alerts: Collection[Alert]) -> dic
 def _probability(chance: float) -> Paint:
     red, green, blue, _ = PROBABILITY(chance)
     return round(255 * red), round(255 * green), round(255 * blue), 220
-
-
-def _paint(colour: str, opacity: float = 1.0) -> Paint:
-    red, green, blue = to_rgb(colour)
-    return round(255 * red), round(255 * green), round(255 * blue), round(255 * opacity)

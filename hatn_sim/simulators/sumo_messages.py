@@ -156,6 +156,7 @@ class Picture:
 
     ribbons: Mapping[str, Ribbon]
     marks: Mapping[str, Mark]
+    rings: Mapping[str, tuple[Paint, ...]]  # around vehicles, under them: from within outwards
     words: tuple[str, ...] = ()  # lines, at the top of the view
     followed: str | None = None  # the vehicle for the window to go with, once it is there
     begin_xy_m: FloatArray | None = None  # [2] where to look at first, where nobody is followed

@@ -6,14 +6,17 @@ and nothing drawn here has a part in it. libsumo is handed in, not imported.
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
+
 from hatn_sim.errors import InputError
-from hatn_sim.simulators.sumo_messages import Drawn, Mark, Picture, Ribbon, View
+from hatn_sim.simulators.sumo_messages import Drawn, Mark, Paint, Picture, Ribbon, View
 
 START: Final = "--start"
 """The option, sumo-gui's alone, that tells a worker to open a window."""
@@ -21,14 +24,17 @@ WINDOW_PX: Final = "1280,860"
 """Wide and high; SUMO's own is half of it."""
 PREFIX: Final = "hatn-sim:"
 """Before the names of all that is drawn: a user's own polygons and points stay."""
+RING_LAYER: Final = 90
+RING_M: Final = 0.55
+"""How far a ring reaches further than the vehicle, or the ring, within it."""
 MARK_LAYER: Final = 120
 WORDS_LAYER: Final = 1000
 NO_PAINT: Final = (0, 0, 0, 0)
 FIRST_PORT: Final = 6000
 """Of X servers: display N listens at this one and N."""
 ANSWER_S: Final = 3.0
-SHOWN_M: Final = 80.0
-"""Of the map, at least this much each way, when the window goes to a vehicle or to a place."""
+SHOWN_M: Final = 65.0
+"""Of the map, from top to bottom, when the window goes to a vehicle or to a place."""
 WORDS_PARAMETER: Final = "hatn-sim"
 """Of points of interest: `view.xml` has SUMO show what it holds."""
 LINE_SHARE: Final = 0.034
@@ -86,6 +92,7 @@ class Canvas:
         self._sumo = sumo
         self._ribbons: set[str] = set()
         self._marks: set[str] = set()
+        self._rings: Mapping[str, tuple[Paint, ...]] = {}
         self._lines = 0  # of words
         self._asked: str | None = None
         self._has_begun = False
@@ -102,6 +109,7 @@ class Canvas:
         for name, mark in picture.marks.items():
             self._mark(PREFIX + name, mark, name in self._marks)
         self._ribbons, self._marks = set(picture.ribbons), set(picture.marks)
+        self._ring(picture.rings)
         views = self._sumo.gui.getIDList()
         if not views:
             return Drawn("", None)
@@ -109,7 +117,15 @@ class Canvas:
         (low_x_m, low_y_m), (high_x_m, high_y_m) = self._sumo.gui.getBoundary(views[0])
         view_m = low_x_m, low_y_m, high_x_m, high_y_m
         self._write(picture.words, view_m)
+        self._show_now(views[0])
         return Drawn(followed, view_m)
+
+    def keep_up(self) -> None:
+        """Rings go with their vehicles at once; the next picture takes as long as a prediction."""
+        if self._rings:
+            self._ring(self._rings)
+            for view in self._sumo.gui.getIDList():
+                self._show_now(view)
 
     def _ribbon(self, name: str, ribbon: Ribbon, is_there: bool) -> None:
         polygon, shape = self._sumo.polygon, [tuple(at) for at in ribbon.xy_m.tolist()]
@@ -129,6 +145,27 @@ class Canvas:
             poi.add(
                 name, x_m, y_m, mark.paint, "hatn-sim", MARK_LAYER, "", mark.width_m, mark.width_m
             )
+
+    def _ring(self, rings: Mapping[str, tuple[Paint, ...]]) -> None:
+        polygon, vehicle = self._sumo.polygon, self._sumo.vehicle
+        present = set(vehicle.getIDList())
+        shown = {name: paints for name, paints in rings.items() if name in present}
+        for name in self._rings.keys() - shown.keys():
+            for ring in range(len(self._rings[name])):
+                polygon.remove(f"{PREFIX}ring:{ring}:{name}")
+        for name, paints in shown.items():
+            front_x_m, front_y_m = vehicle.getPosition(name)
+            yaw_rad = math.radians(90.0 - vehicle.getAngle(name))
+            ahead_x, ahead_y = math.cos(yaw_rad), math.sin(yaw_rad)
+            length_m, width_m = vehicle.getLength(name), vehicle.getWidth(name)
+            there = len(self._rings.get(name, ()))
+            for ring, paint in enumerate(paints):
+                grow_m = (ring + 1) * RING_M
+                ends_m = np.array([[-length_m - grow_m], [grow_m]])
+                xy_m = np.array([front_x_m, front_y_m]) + ends_m * np.array([ahead_x, ahead_y])
+                ribbon = Ribbon(xy_m, width_m + 2.0 * grow_m, paint, RING_LAYER - ring)
+                self._ribbon(f"{PREFIX}ring:{ring}:{name}", ribbon, ring < there)
+        self._rings = shown
 
     def _write(self, words: Sequence[str], view_m: View) -> None:
         """Lines of words, one below the other, at points that go with the view."""
@@ -164,3 +201,9 @@ class Canvas:
     def _go(self, view: str, x_m: float, y_m: float) -> None:
         half_m = 0.5 * SHOWN_M
         self._sumo.gui.setBoundary(view, x_m - half_m, y_m - half_m, x_m + half_m, y_m + half_m)
+        self._show_now(view)  # the first time after it, SUMO settles how high the view is
+
+    def _show_now(self, view: str) -> None:
+        """Has the view drawn again, from where it is. SUMO itself draws when time has passed, and
+        what is drawn here would be seen beside the vehicles of the next frame."""
+        self._sumo.gui.setOffset(view, *self._sumo.gui.getOffset(view))

@@ -84,6 +84,8 @@ class Simulation:
         started = time.perf_counter()
         libsumo.simulationStep()
         self._sumo_s = time.perf_counter() - started
+        if self._canvas is not None:
+            self._canvas.keep_up()
 
     def _command(self, commands: Sequence[tuple[str, float]]) -> None:
         present = set(libsumo.vehicle.getIDList())
