@@ -7,6 +7,7 @@ from typing import Any
 from hatn_sim.config import Scenario
 from hatn_sim.datatypes import Simulator
 from hatn_sim.errors import InputError
+from hatn_sim.resources import scenarios_dir
 
 
 def open_traffic(scenario: Scenario, window_delay_ms: float | None = None) -> Simulator:
@@ -39,9 +40,13 @@ def open_traffic(scenario: Scenario, window_delay_ms: float | None = None) -> Si
 
     if window_delay_ms is None:
         return SumoSimulator(scenario)
+    from hatn_sim.simulators.sumo_config import VIEW_FILE, read_sumocfg
     from hatn_sim.simulators.sumo_window import window_options
 
-    return SumoSimulator(scenario, window_options(window_delay_ms))
+    words = window_options(window_delay_ms)
+    if "gui-settings-file" not in read_sumocfg(scenario.config_path):
+        words += "--gui-settings-file", str(scenarios_dir() / VIEW_FILE)
+    return SumoSimulator(scenario, words)
 
 
 def found_out(simulator: Simulator) -> dict[str, Any]:

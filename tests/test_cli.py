@@ -20,6 +20,7 @@ from conftest import heed_ctrl_c
 
 from hatn_sim import cli
 from hatn_sim.commands import scenarios
+from hatn_sim.commands.rate_text import rate_text
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame, Score
 from hatn_sim.log import read_run
@@ -359,6 +360,14 @@ def test_json_of_run_and_score_is_the_list_of_scores_and_the_rate_of_the_run(
         assert found[predictor, "ade_3s", "moving"]["n"] > 0
         slots = found[predictor, "slot_accuracy", "all"]
         assert (slots["value"], slots["low"], slots["high"], slots["n"]) == (None, None, None, 0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "text"),
+    [(0.0, "0"), (0.0437, "0.044"), (0.5, "0.5"), (1.04, "1.0"), (9.6, "9.6"), (37.6, "38")],
+)
+def test_rates_have_digits_that_say_something(rate: float, text: str) -> None:
+    assert rate_text(rate) == text
 
 
 def test_a_run_ends_with_its_table_its_rate_and_its_place(

@@ -421,6 +421,21 @@ def test_suggestions_are_logged_when_they_change(tmp_path: Path) -> None:
     assert run.alerts == ((1, alert),)
 
 
+def test_a_line_of_an_alert_has_the_frame_of_its_time(tmp_path: Path) -> None:
+    """Onset at frame 3; known to be over at frame 9 that it peaked at 5 and ended at 7."""
+    onset = Alert("1", "onset", "CONFLICT", 0.3, "a", "b", 0.7, "too close")
+    peak = replace(onset, edge="peak", time_s=0.5)
+    end = replace(onset, edge="end", time_s=0.7)
+    before = replace(end, alert_id="0", time_s=-1.0)  # the log begins at 0 s
+    told = {3: (onset,), 9: (peak, end, before)}
+    with RunWriter(tmp_path / "run", HEADER) as writer:
+        for index in range(10):
+            frame = make_frame(np.random.default_rng(0), index)
+            advice = Advice(plain_prediction(frame), (), told.get(index, ()))
+            writer.write(index, frame, {"main": advice})
+    assert read_run(tmp_path / "run").alerts == ((3, onset), (5, peak), (7, end), (0, before))
+
+
 def test_an_output_folder_that_exists_is_refused_and_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("precious")
     with pytest.raises(InputError, match="expected an output folder that does not exist yet"):

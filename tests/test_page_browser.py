@@ -21,6 +21,7 @@ from page_runs import (
 
 from hatn_sim.datatypes import DT_S
 from hatn_sim.log import read_run
+from hatn_sim.log.schema import ALERTS_FILE
 from hatn_sim.report.page.page import write_page
 
 pytestmark = pytest.mark.browser
@@ -186,6 +187,18 @@ def test_alerts_and_events_lead_to_their_moments(browser: Any, run_folder: Path)
     crash.find_element("tag name", "button").click()
     now = waited(browser, lambda now: abs(now["time_s"] - crash_s) < 1e-6)
     assert now["alerts"] == []
+
+
+def test_the_legend_tells_of_alerts_where_there_are_any(browser: Any, tmp_path: Path) -> None:
+    folder = made_up_run(tmp_path / "run")
+    for has_alerts in (True, False):
+        if not has_alerts:
+            (folder / ALERTS_FILE).write_text("", encoding="utf-8")
+        write_page(read_run(folder), folder, (20, "eastbound"))
+        opened(browser, folder)
+        told = browser.find_element("id", "legend").text.split("\n")
+        assert any("conflict" in words for words in told)
+        assert any("alert" in words for words in told) == has_alerts
 
 
 def test_names_from_a_file_are_only_ever_text(browser: Any, tmp_path: Path) -> None:

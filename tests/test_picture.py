@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image
 
 from hatn_sim.datatypes import (
@@ -34,6 +35,8 @@ from hatn_sim.log import Run, RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, read_road, write_road
 from hatn_sim.perception import begin, perceive
 from hatn_sim.report.animation import around, draw_animation
+from hatn_sim.report.canvas import POSTER, open_sheet
+from hatn_sim.report.drawing import draw_moment_on
 from hatn_sim.report.label_places import Label, place_labels
 from hatn_sim.report.moment import alerts_at, moment_at
 from hatn_sim.report.picture import camera, choose_moment, draw_moment
@@ -246,6 +249,17 @@ def test_alerts_stand_from_their_onset_to_their_end() -> None:
     assert [alerts_at(run, frame) for frame in (2, 3, 5, 8, 9)] == [
         (), (first,), (first, second), (first, second), (second,),
     ]  # fmt: skip
+
+
+def test_the_legend_tells_of_alerts_where_there_are_any(crossing: Run) -> None:
+    moment = moment_at(crossing, 10, "eastbound")
+    alert = Alert("1", "onset", "CONFLICT", 1.0, "eastbound", "northbound", 0.5, "")
+    for shown, count in ((moment, 0), (replace(moment, alerts=(alert,)), 1)):
+        sheet = open_sheet(POSTER, [], np.zeros(2), 50.0)
+        artists, _ = draw_moment_on(sheet, shown, "")
+        keys = [one for one in artists if isinstance(one, Text) and one.get_text() == "alert"]
+        size_pt = 0.84 * POSTER.font_pt
+        assert [one.get_fontsize() for one in keys].count(size_pt) == count
 
 
 def test_wrong_frame_or_ego_of_a_moment(crossing: Run) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any, Self
 
 from hatn_sim.commands.bar import open_bar
+from hatn_sim.commands.rate_text import rate_text
 
 
 class Progress:
@@ -40,7 +41,7 @@ class Progress:
         if self._quiet or (now - self._shown < 0.2 and done != self._total):
             return
         times = done * self._dt_s / max(now - self._started, 1e-3)
-        rate = f"{vehicles} vehicles now, {times:.1f}x real time"
+        rate = f"{vehicles} vehicles now, {rate_text(times)}x real time"
         if self._bar is not None:
             self._shown = now
             self._bar.update(self._task, completed=done, rate=rate)
@@ -85,7 +86,7 @@ class RunsProgress:
             total = self._frames[number]
             self._tasks[number] = self._bar.add_task(self._labels[number], total=total, said="")
         times = steps * self._dt_s / max(now - started, 1e-3)
-        said = f"{steps} steps, {times:.1f}x real time"
+        said = f"{steps} steps, {rate_text(times)}x real time"
         self._bar.update(self._tasks[number], completed=steps, said=said)
 
     def finish(self, number: int, steps: int) -> None:

@@ -140,8 +140,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ego",
         metavar="ID",
-        help="with --gui: the vehicle that the window follows (default: none; shown is then who "
-        "has to choose, or whom you track in the window)",
+        help="with --gui: the vehicle that the window follows (default: none; shown is then whom "
+        "you track in the window, else, of those in view, who is warned or has to choose)",
     )
     parser.add_argument("--no-page", action="store_true", help="leave out report.html")
     parser.add_argument(

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hatn_sim.commands.rate_text import rate_text
 from hatn_sim.datatypes import DT_S, Score
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def finish(
     seen += f" and {walking} pedestrians" if walking else ""
     print(
         f"{done.frames} steps of {DT_S:g} s, {seen}, in {taken_s:.1f} s, "
-        f"log and scores included: {done.frames / taken_s:.0f} steps per second, "
-        f"{DT_S * done.frames / taken_s:.1f} times real time"
+        f"log and scores included: {rate_text(done.frames / taken_s)} steps per second, "
+        f"{rate_text(DT_S * done.frames / taken_s)} times real time"
     )
     tell_counterfactuals(logged)
     before_s = done.began - started

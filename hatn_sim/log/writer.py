@@ -14,7 +14,7 @@ from typing import IO, Any, Self
 
 import numpy as np
 
-from hatn_sim.datatypes import Advice, Frame, Route, Truth
+from hatn_sim.datatypes import DT_S, Advice, Frame, Route, Truth
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.log import rows, schema
 from hatn_sim.log.parts import PartBuffer
@@ -113,7 +113,9 @@ class RunWriter:
                 if order == 0:
                     self._write_suggestions(frame_index, scene.time_s, of_predictor)
                     for alert in of_predictor.alerts:
-                        _write_line(self._alerts, {"frame": frame_index, **asdict(alert)})
+                        ago = max(round((scene.time_s - alert.time_s) / DT_S), 0)
+                        at = max(frame_index - ago, 0)  # a peak or an end is known only later
+                        _write_line(self._alerts, {"frame": at, **asdict(alert)})
             # Last: a frame counts for readers from here on, whatever interrupts the run.
             self._frames.append(rows.frame_rows(frame_index, frame))
             self._next_frame += 1

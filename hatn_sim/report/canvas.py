@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
@@ -266,15 +267,25 @@ def _draw_legend(sheet: Sheet) -> None:
     page.plot([x], [y], "D", mfc=INK, mec="white", mew=0.9, ms=0.62 * size, zorder=5)
     page.text(x + 0.9 * em, y, "conflict", **text)
 
-    x += 6.2 * em
-    page.plot([x], [y], "o", mfc="white", mec=ALERT, mew=1.6, ms=0.95 * size, zorder=5)
-    page.text(x + 1.0 * em, y, "alert", **text)
-
     length_in = SCALE_BAR_M * sheet.points_per_m / 72.0
     right = style.width_in - style.margin_in
     ends = (right - length_in, right)
     page.plot(ends, (y, y), color=INK, lw=1.6, solid_capstyle="butt", zorder=5)
     page.text(ends[0] - 0.6 * em, y, f"{SCALE_BAR_M:g} m", ha="right", **text)
+
+
+ALERT_KEY_EM: Final = 67.2
+"""Where the key of alerts stands in the legend, after the others."""
+
+
+def draw_alert_key(sheet: Sheet) -> list[Artist]:
+    """The key of alerts in the legend, for moments that have one."""
+    size, y = 0.84 * sheet.style.font_pt, 0.5 * sheet.style.footer_in
+    em = size / 72.0
+    x = sheet.style.margin_in + ALERT_KEY_EM * em
+    ring = sheet.page.plot([x], [y], "o", mfc="white", mec=ALERT, mew=1.6, ms=0.95 * size, zorder=5)
+    words = sheet.page.text(x + em, y, "alert", fontsize=size, color=INK, va="center", zorder=5)
+    return [*ring, words]
 
 
 def _swatch(sheet: Sheet, x_in: float, y_in: float, em_in: float) -> FloatArray:

@@ -25,6 +25,7 @@ from hatn_sim.report.canvas import (
     SOFT_INK,
     Sheet,
     columns,
+    draw_alert_key,
     mixed,
     quad,
 )
@@ -66,6 +67,7 @@ def draw_moment_on(
         *_draw_frame(sheet),
         *_draw_header(sheet, moment, caption),
         *draw_warning(sheet, moment),
+        *(draw_alert_key(sheet) if moment.alerts else ()),
     ]
     labels, offsets = draw_labels(sheet, moment, labels_before)
     return [*artists, *labels], offsets

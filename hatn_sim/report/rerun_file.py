@@ -34,6 +34,8 @@ WAY_POINT_FRAMES: Final = 5
 LEAST_CHANCE: Final = 0.05
 HEIGHTS_M: Final = {Kind.LORRY: 3.2, Kind.BUS: 3.0, Kind.TRAM: 3.4, Kind.PEDESTRIAN: 1.8}
 CAR_M: Final = 1.5
+EYE_M: Final = 75.0
+"""How high the viewer's eye is over the road at first."""
 EDGE: Final = (150, 155, 160)
 PREDICTED: Final = (213, 94, 0)
 CONFLICT: Final = (0, 114, 178)
@@ -60,7 +62,7 @@ def write_rrd(run: Run, path: Path) -> None:
 
     def fill(file: Path) -> None:
         stream = rr.RecordingStream("hatn-sim", recording_id=f"hatn-sim {run.path.name}")
-        stream.save(file, default_blueprint=_blueprint())
+        stream.save(file, default_blueprint=_blueprint(np.median(run.tracks.xy_m, axis=0) - origin))
         _send_road(rr, stream, lanes, origin)
         _send_vehicles(rr, stream, run, origin)
         if run.predictors:
@@ -73,18 +75,25 @@ def write_rrd(run: Run, path: Path) -> None:
     write_whole(path, fill)
 
 
-def _blueprint() -> Any:
+def _blueprint(middle_xy_m: FloatArray) -> Any:
+    """Views side by side; the scene from above where most vehicles are, north at the top."""
     import rerun.blueprint as rrb
 
+    x_m, y_m = middle_xy_m.tolist()
+    eye = rrb.EyeControls3D(
+        position=(x_m, y_m - 0.3 * EYE_M, EYE_M), look_target=(x_m, y_m, 0.0), eye_up=(0, 0, 1)
+    )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Spatial3DView(origin="/", name="scene"),
+            rrb.Spatial3DView(origin="/", name="scene", eye_controls=eye),
             rrb.Vertical(
                 rrb.TextLogView(origin="/", name="advice, alerts, events"),
                 rrb.TimeSeriesView(origin="/plots", name="plots"),
             ),
-            column_shares=[3, 1],
-        )
+            column_shares=[2, 1],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
     )
 
 

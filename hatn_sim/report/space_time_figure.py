@@ -143,11 +143,12 @@ def _gap(axes: Axes, span_s: tuple[float, float], at_m: float) -> None:
     axes.annotate(
         f"{span_s[1] - span_s[0]:.1f} s",
         (0.5 * sum(span_s), at_m),
-        (0, 2.5),
+        (0, 3.5),
         textcoords="offset points",
         ha="center",
         fontsize=NOTE_PT,
         color=INK,
+        bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         zorder=6,
     )
 

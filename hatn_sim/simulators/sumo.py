@@ -231,14 +231,14 @@ class SumoSimulator:
         assert isinstance(answer, BranchEnded)
         return None if answer.pickled is None else pickle.loads(answer.pickled)
 
-    def draw(self, picture: Picture) -> str:
-        """Draws in SUMO's window; the vehicle that the user has it follow, "" for none.
+    def draw(self, picture: Picture) -> Drawn:
+        """Draws in SUMO's window, and tells what the user looks at there.
 
         No time passes, and the traffic is as it was. Raises as `step` does.
         """
         answer = self._inquire(picture)
         assert isinstance(answer, Drawn)
-        return answer.followed
+        return answer
 
     def junction_foes(self, reach_m: float) -> JunctionFoes:
         """SUMO's list of conflicts within `reach_m` ahead of every vehicle of the newest frame.

@@ -23,6 +23,8 @@ SYNONYMS = {
 }
 """Other names SUMO knows for the options read here."""
 FILE_OPTIONS = ("net-file", "route-files", "additional-files")
+VIEW_FILE = "view.xml"
+"""The look of SUMO's window, beside the scenes that ship."""
 SUMO_DEFAULT_STEP_S = 1.0
 MAX_SEED = 2**31 - 1
 COLLISIONS_SEEN = {
@@ -83,8 +85,14 @@ def start_options(
         "no-step-log": "true",
         "duration-log.disable": "true",
     }
-    if "gui-settings-file" in configured and not has_window:
+    look = configured.get("gui-settings-file")
+    if look is not None and not has_window:
         options["gui-settings-file"] = ""
+    elif look is not None and Path(look).name != VIEW_FILE:
+        notices.append(
+            f"gui-settings-file in {name}: kept; words of advice are seen in the window where its "
+            "scheme shows the parameter 'hatn-sim' of points (poiTextParam)"
+        )
     if "remote-port" in configured:
         options["remote-port"] = "0"
         notices.append(f"remote-port in {name}: not opened")

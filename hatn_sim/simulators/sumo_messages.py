@@ -133,7 +133,7 @@ Paint = tuple[int, int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Ribbon:
-    """A line of some width, drawn over the traffic."""
+    """A line of some width, drawn over the roads and, in a high layer, over the traffic."""
 
     xy_m: FloatArray  # [P, 2] P >= 2
     width_m: float
@@ -156,15 +156,22 @@ class Picture:
 
     ribbons: Mapping[str, Ribbon]
     marks: Mapping[str, Mark]
-    vehicles: Mapping[str, Paint]  # all others keep their own colour
+    rings: Mapping[str, tuple[Paint, ...]]  # around vehicles, under them: from within outwards
+    words: tuple[str, ...] = ()  # lines, at the top of the view
     followed: str | None = None  # the vehicle for the window to go with, once it is there
+    begin_xy_m: FloatArray | None = None  # [2] where to look at first, where nobody is followed
+
+
+View = tuple[float, float, float, float]
+"""What the window shows of the map: least x and y, greatest x and y, in metres."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """It is drawn. `followed` is the vehicle that the window goes with; "": none."""
+    """It is drawn."""
 
-    followed: str
+    followed: str  # the vehicle that the window goes with; "": none
+    view_m: View | None  # None: there is no view open
 
 
 @dataclass(frozen=True)

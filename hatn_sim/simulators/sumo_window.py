@@ -6,13 +6,17 @@ and nothing drawn here has a part in it. libsumo is handed in, not imported.
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 import sys
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
+
 from hatn_sim.errors import InputError
-from hatn_sim.simulators.sumo_messages import Drawn, Mark, Paint, Picture, Ribbon
+from hatn_sim.simulators.sumo_messages import Drawn, Mark, Paint, Picture, Ribbon, View
 
 START: Final = "--start"
 """The option, sumo-gui's alone, that tells a worker to open a window."""
@@ -20,12 +24,21 @@ WINDOW_PX: Final = "1280,860"
 """Wide and high; SUMO's own is half of it."""
 PREFIX: Final = "hatn-sim:"
 """Before the names of all that is drawn: a user's own polygons and points stay."""
+RING_LAYER: Final = 90
+RING_M: Final = 0.55
+"""How far a ring reaches further than the vehicle, or the ring, within it."""
 MARK_LAYER: Final = 120
+WORDS_LAYER: Final = 1000
+NO_PAINT: Final = (0, 0, 0, 0)
 FIRST_PORT: Final = 6000
 """Of X servers: display N listens at this one and N."""
 ANSWER_S: Final = 3.0
-FOLLOWED_WIDTH_M: Final = 120.0
-"""Of the map, when the window begins to follow a vehicle."""
+SHOWN_M: Final = 65.0
+"""Of the map, from top to bottom, when the window goes to a vehicle or to a place."""
+WORDS_PARAMETER: Final = "hatn-sim"
+"""Of points of interest: `view.xml` has SUMO show what it holds."""
+LINE_SHARE: Final = 0.034
+"""Of the view's height, from one line of words to the next."""
 
 
 def window_options(delay_ms: float) -> tuple[str, ...]:
@@ -72,10 +85,6 @@ def display_trouble(display: str) -> str:
     return f"no X server answers on DISPLAY {display} ({why})"
 
 
-SUMO_DEFAULT_COLOUR: Final = (255, 255, 0, 255)
-"""Of a vehicle without a colour of its own; its type's counts then."""
-
-
 class Canvas:
     """What is drawn in the window now. Things that stay are moved, so that nothing flickers."""
 
@@ -83,8 +92,10 @@ class Canvas:
         self._sumo = sumo
         self._ribbons: set[str] = set()
         self._marks: set[str] = set()
-        self._painted: dict[str, tuple[Paint, Paint]] = {}  # its own, ours
+        self._rings: Mapping[str, tuple[Paint, ...]] = {}
+        self._lines = 0  # of words
         self._asked: str | None = None
+        self._has_begun = False
 
     def draw(self, picture: Picture) -> Drawn:
         """Draws a picture in place of the one before."""
@@ -98,8 +109,23 @@ class Canvas:
         for name, mark in picture.marks.items():
             self._mark(PREFIX + name, mark, name in self._marks)
         self._ribbons, self._marks = set(picture.ribbons), set(picture.marks)
-        self._paint(picture)
-        return Drawn(self._follow(picture.followed))
+        self._ring(picture.rings)
+        views = self._sumo.gui.getIDList()
+        if not views:
+            return Drawn("", None)
+        followed = self._follow(views[0], picture)
+        (low_x_m, low_y_m), (high_x_m, high_y_m) = self._sumo.gui.getBoundary(views[0])
+        view_m = low_x_m, low_y_m, high_x_m, high_y_m
+        self._write(picture.words, view_m)
+        self._show_now(views[0])
+        return Drawn(followed, view_m)
+
+    def keep_up(self) -> None:
+        """Rings go with their vehicles at once; the next picture takes as long as a prediction."""
+        if self._rings:
+            self._ring(self._rings)
+            for view in self._sumo.gui.getIDList():
+                self._show_now(view)
 
     def _ribbon(self, name: str, ribbon: Ribbon, is_there: bool) -> None:
         polygon, shape = self._sumo.polygon, [tuple(at) for at in ribbon.xy_m.tolist()]
@@ -107,7 +133,8 @@ class Canvas:
             polygon.setShape(name, shape)
             polygon.setColor(name, ribbon.paint)
         else:
-            polygon.add(name, shape, ribbon.paint, False, "hatn-sim", ribbon.layer, ribbon.width_m)
+            half_m = 0.5 * ribbon.width_m  # SUMO draws as much to either side
+            polygon.add(name, shape, ribbon.paint, False, "hatn-sim", ribbon.layer, half_m)
 
     def _mark(self, name: str, mark: Mark, is_there: bool) -> None:
         poi, (x_m, y_m) = self._sumo.poi, mark.xy_m.tolist()
@@ -119,39 +146,64 @@ class Canvas:
                 name, x_m, y_m, mark.paint, "hatn-sim", MARK_LAYER, "", mark.width_m, mark.width_m
             )
 
-    def _paint(self, picture: Picture) -> None:
-        vehicle = self._sumo.vehicle
+    def _ring(self, rings: Mapping[str, tuple[Paint, ...]]) -> None:
+        polygon, vehicle = self._sumo.polygon, self._sumo.vehicle
         present = set(vehicle.getIDList())
-        painted: dict[str, tuple[Paint, Paint]] = {}
-        for name, paint in picture.vehicles.items():
-            if name not in present:
-                continue
-            own, last = self._painted.get(name, (None, None))
-            painted[name] = (self._own(name) if own is None else own), paint
-            if paint != last:
-                vehicle.setColor(name, paint)
-        for name in (self._painted.keys() - painted.keys()) & present:
-            vehicle.setColor(name, self._painted[name][0])
-        self._painted = painted
+        shown = {name: paints for name, paints in rings.items() if name in present}
+        for name in self._rings.keys() - shown.keys():
+            for ring in range(len(self._rings[name])):
+                polygon.remove(f"{PREFIX}ring:{ring}:{name}")
+        for name, paints in shown.items():
+            front_x_m, front_y_m = vehicle.getPosition(name)
+            yaw_rad = math.radians(90.0 - vehicle.getAngle(name))
+            ahead_x, ahead_y = math.cos(yaw_rad), math.sin(yaw_rad)
+            length_m, width_m = vehicle.getLength(name), vehicle.getWidth(name)
+            there = len(self._rings.get(name, ()))
+            for ring, paint in enumerate(paints):
+                grow_m = (ring + 1) * RING_M
+                ends_m = np.array([[-length_m - grow_m], [grow_m]])
+                xy_m = np.array([front_x_m, front_y_m]) + ends_m * np.array([ahead_x, ahead_y])
+                ribbon = Ribbon(xy_m, width_m + 2.0 * grow_m, paint, RING_LAYER - ring)
+                self._ribbon(f"{PREFIX}ring:{ring}:{name}", ribbon, ring < there)
+        self._rings = shown
 
-    def _own(self, name: str) -> Paint:
-        """A vehicle's colour, or its type's where it has none of its own."""
-        own = self._sumo.vehicle.getColor(name)
-        if own != SUMO_DEFAULT_COLOUR:
-            return own
-        return self._sumo.vehicletype.getColor(self._sumo.vehicle.getTypeID(name))
+    def _write(self, words: Sequence[str], view_m: View) -> None:
+        """Lines of words, one below the other, at points that go with the view."""
+        poi, (low_x_m, low_y_m, high_x_m, high_y_m) = self._sumo.poi, view_m
+        for line in range(len(words), self._lines):
+            poi.remove(f"{PREFIX}words:{line}")
+        for line, text in enumerate(words):
+            name = f"{PREFIX}words:{line}"
+            x_m = 0.5 * (low_x_m + high_x_m)
+            y_m = high_y_m - (line + 1.5) * LINE_SHARE * (high_y_m - low_y_m)
+            if line < self._lines:
+                poi.setPosition(name, x_m, y_m)
+            else:
+                poi.add(name, x_m, y_m, NO_PAINT, "hatn-sim", WORDS_LAYER, "", 0.1, 0.1)
+            poi.setParameter(name, WORDS_PARAMETER, text)
+        self._lines = len(words)
 
-    def _follow(self, wanted: str | None) -> str:
-        """Goes with a vehicle from its first moment on; then the user may choose another."""
-        gui, views = self._sumo.gui, self._sumo.gui.getIDList()
-        if not views:
-            return ""
+    def _follow(self, view: str, picture: Picture) -> str:
+        """Goes with a vehicle from its first moment on, or to where the first picture is best seen;
+        then the window is the user's."""
+        wanted = picture.followed
         if wanted is None:
             self._asked = None
+            if picture.begin_xy_m is not None and not self._has_begun:
+                self._has_begun = True
+                self._go(view, *picture.begin_xy_m.tolist())
         elif wanted != self._asked and wanted in self._sumo.vehicle.getIDList():
             self._asked = wanted
-            x_m, y_m = self._sumo.vehicle.getPosition(wanted)
-            half_m = 0.5 * FOLLOWED_WIDTH_M
-            gui.setBoundary(views[0], x_m - half_m, y_m - half_m, x_m + half_m, y_m + half_m)
-            gui.trackVehicle(views[0], wanted)
-        return str(gui.getTrackedVehicle(views[0]))
+            self._go(view, *self._sumo.vehicle.getPosition(wanted))
+            self._sumo.gui.trackVehicle(view, wanted)
+        return str(self._sumo.gui.getTrackedVehicle(view))
+
+    def _go(self, view: str, x_m: float, y_m: float) -> None:
+        half_m = 0.5 * SHOWN_M
+        self._sumo.gui.setBoundary(view, x_m - half_m, y_m - half_m, x_m + half_m, y_m + half_m)
+        self._show_now(view)  # the first time after it, SUMO settles how high the view is
+
+    def _show_now(self, view: str) -> None:
+        """Has the view drawn again, from where it is. SUMO itself draws when time has passed, and
+        what is drawn here would be seen beside the vehicles of the next frame."""
+        self._sumo.gui.setOffset(view, *self._sumo.gui.getOffset(view))

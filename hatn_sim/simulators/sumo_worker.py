@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import libsumo
 import numpy as np
@@ -49,7 +49,10 @@ from hatn_sim.simulators.sumo_rows import (
     ROUNDING_MPS,
 )
 from hatn_sim.simulators.sumo_serving import serve
-from hatn_sim.simulators.sumo_window import START, SUMO_DEFAULT_COLOUR, Canvas
+from hatn_sim.simulators.sumo_window import START, Canvas
+
+SUMO_DEFAULT_COLOUR: Final = (255, 255, 0, 255)
+"""Of a vehicle without a colour of its own; its type's counts then."""
 
 
 class Simulation:
@@ -81,6 +84,8 @@ class Simulation:
         started = time.perf_counter()
         libsumo.simulationStep()
         self._sumo_s = time.perf_counter() - started
+        if self._canvas is not None:
+            self._canvas.keep_up()
 
     def _command(self, commands: Sequence[tuple[str, float]]) -> None:
         present = set(libsumo.vehicle.getIDList())

@@ -58,7 +58,8 @@ function makeLegend(app) {
     items.push(element('span', { class: 'item' }, ['slot, 0', element('i', { class: 'scale' }), '100 %']),
       item('predicted', 'predicted, 3 s'));
   }
-  items.push(item('happened', 'what happened'), item('conflict', 'conflict'), item('alarm', 'alert'));
+  items.push(item('happened', 'what happened'), item('conflict', 'conflict'));
+  if (app.head.alerts.length) items.push(item('alarm', 'alert'));
   if (app.paths.stops.some(({ signals }) => signals.length)) {
     items.push(item('lamp closed', 'signal closed'), item('lamp open', 'open'));
   }
