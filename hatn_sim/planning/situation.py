@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.pairs import at_conflicts
+from hatn_sim.assist.areas import areas_m
+from hatn_sim.assist.pairs import Pairs, at_conflicts
 from hatn_sim.datatypes import (
     BoolArray,
     ConflictType,
@@ -115,11 +116,18 @@ def look(state: DriverState, ego_id: str, scene: Scene) -> tuple[DriverState, Si
 
 
 def situation_of(
-    road: Road, scene: Scene, lines: Lines, ego: int, has_stopped: bool
+    road: Road,
+    scene: Scene,
+    lines: Lines,
+    ego: int,
+    has_stopped: bool,
+    *,
+    as_swept: bool = False,
 ) -> Situation | None:
     """What the vehicle in this row sees where all are on these lines; None: it is on none.
 
-    `has_stopped`: a moment ago, at the stop line ahead.
+    `has_stopped`: a moment ago, at the stop line ahead. `as_swept`: areas are what outlines sweep
+    where lines bend (`assist.areas`), not those of straight lines.
     """
     if lines.line[ego] < 0:
         return None
@@ -146,7 +154,7 @@ def situation_of(
         stop_m=float(min(to_line_m, gates.closed_m[ego])),
         gate_m=float(_gate_m(gates)[ego]),
         has_stopped=stopped,
-        meetings=_meetings(road, scene, lines, gates, ego),
+        meetings=_meetings(road, scene, lines, gates, ego, as_swept),
     )
 
 
@@ -185,8 +193,13 @@ def _leader(road: Road, scene: Scene, lines: Lines, ego: int) -> tuple[int, floa
     return int(leader[ego]), float(at_m[ego] - lines.s_m[ego] - half_m)
 
 
-def _meetings(road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int) -> Meetings:
+def _meetings(
+    road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int, as_swept: bool
+) -> Meetings:
     pairs = at_conflicts(road, scene, lines)
+    pairs = pairs.of(np.flatnonzero((pairs.index == ego).any(axis=1)))
+    if as_swept:
+        pairs = _swept(road, scene, lines, pairs)
     row, mine = np.nonzero(pairs.index == ego)
     room_m = pairs.room_m[row, mine]
     order = np.argsort(room_m, kind="stable")
@@ -213,6 +226,14 @@ def _meetings(road: Road, scene: Scene, lines: Lines, gates: Gates, ego: int) ->
 
 def _gate_m(gates: Gates) -> FloatArray:
     return np.minimum(np.minimum(gates.stop_m, gates.give_way_m), gates.closed_m)
+
+
+def _swept(road: Road, scene: Scene, lines: Lines, pairs: Pairs) -> Pairs:
+    point_s_m = lines.s_m[pairs.index] + pairs.to_point_m
+    line = lines.line[pairs.index]
+    before_m, beyond_m = areas_m(road, scene, pairs.index, line, point_s_m, pairs.type)
+    room_m, clear_m = pairs.to_point_m - before_m, pairs.to_point_m + beyond_m
+    return replace(pairs, room_m=room_m, clear_m=clear_m)
 
 
 def _gate_behind_m(road: Road, scene: Scene, lines: Lines, ego: int) -> float:
