@@ -33,7 +33,7 @@ EXAMPLES = """examples:
 SCENES: Final = ("intersection5", "roundabout8")
 ENVS: Final = 8
 TOLD_SHARE: Final = 0.6
-MINUTES: Final = 20.0
+MINUTES: Final = 40.0
 MOST_STEPS: Final = 250_000
 ALGORITHMS: Final = ("ppo", "dqn")
 
