@@ -227,7 +227,7 @@ def test_a_step_of_other_arguments_is_told_by_its_name(footage: Footage) -> None
 
 
 @pytest.mark.parametrize(
-    "name", ["sumo_driver", "constant_speed", "idm", "heed", "hatn_planner", "mpc"]
+    "name", ["sumo_driver", "constant_speed", "idm", "heed", "hatn_planner", "mpc", "ppo"]
 )
 def test_agents_that_ship_keep_every_point(footage: Footage, name: str) -> None:
     points = list(check_agent(lambda: load_agent(name), footage, (ConstantVelocity(),)))

@@ -435,9 +435,9 @@ def test_what_runs_cannot_be_copied(make: Any) -> None:
     env = make(scene=str(STREET), predictor=None, ego="taken_over", warm_up_s=5.0)
     assert copy.deepcopy(env).unwrapped.options.scene == str(STREET)  # nothing runs yet
     _, info = env.reset(seed=3)
-    for copied in (copy.deepcopy, pickle.dumps):
+    for copied in (copy.copy, copy.deepcopy, pickle.dumps):
         with pytest.raises(RunningError, match="reset with the same seed"):
-            copied(env)
+            copied(env.unwrapped)
     # What it says instead is so, and the refusal has left the environment as it was.
     twin = make(scene=str(STREET), predictor=None, ego="taken_over", warm_up_s=5.0)
     assert twin.reset(seed=3)[1]["seen"] == info["seen"]
@@ -445,6 +445,17 @@ def test_what_runs_cannot_be_copied(make: Any) -> None:
     assert ours == theirs
     env.close()
     pickle.loads(pickle.dumps(env)).close()
+
+
+def test_an_environment_that_predicts_is_pickled_with_its_predictors_name(make: Any) -> None:
+    env = make(scene="tjunction", density="light", warm_up_s=2.0, ego="taken_over")
+    twin = pickle.loads(pickle.dumps(env.unwrapped))
+    for one in (env, twin):
+        one.reset(seed=5)
+    (ours, *_), (theirs, *_) = (one.step(0) for one in (env, twin))
+    np.testing.assert_array_equal(ours["trajectories"], theirs["trajectories"])
+    assert ours["trajectories"].any()
+    twin.close()
 
 
 def test_an_ego_that_never_comes(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import hatn_sim
 from hatn_sim.commands.options import names, part, seconds, whole_number
+from hatn_sim.errors import HatnSimError
 
 if TYPE_CHECKING:
     from hatn_sim.datatypes import Agent
@@ -36,6 +37,12 @@ TOLD_SHARE: Final = 0.6
 MINUTES: Final = 40.0
 MOST_STEPS: Final = 250_000
 ALGORITHMS: Final = ("ppo", "dqn")
+
+
+class InterruptedTrainingError(HatnSimError):
+    """By ctrl-C."""
+
+    exit_code = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -180,9 +187,18 @@ def _train(arguments: argparse.Namespace, path: Path) -> list[Progress]:
             write_progress(path.parent / "progress.jsonl", rows)
 
         def keep() -> None:
-            write_policy(path, learner, layout, _card(arguments, rows))
+            card = _card(arguments, rows) | {"decisions": learner.num_timesteps}
+            write_policy(path, learner, layout, card)
 
-        learn(learner, Pace(arguments.minutes, arguments.steps, arguments.told_share), tell, keep)
+        pace = Pace(arguments.minutes, arguments.steps, arguments.told_share)
+        try:
+            learn(learner, pace, tell, keep)
+        except KeyboardInterrupt:
+            keep()
+            raise InterruptedTrainingError(
+                f"interrupted; what was learnt in {learner.num_timesteps:,} decisions is in "
+                f"{path.parent}. A training cannot be gone on with: begin anew with another --out"
+            ) from None
     return rows
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from hatn_sim.conformance.scenes import (
 )
 from hatn_sim.datatypes import Advice, Agent, Command, Frame, Guided, Predictor, Scene
 from hatn_sim.loop import Adviser, begin, check_command, guided, tick
+from hatn_sim.road import Road
 
 METHODS: Final = {"init": ("road",), "step": ("state", "ego_id", "scene", "advice")}
 SAME_MPS2: Final = 1e-3
@@ -60,14 +62,23 @@ def check_agent(
 Commands = list[Command | None]
 
 
-def _advise(footage: Footage, frames: Sequence[Frame], predictor: Predictor) -> list[Advice]:
+@dataclass(frozen=True, eq=False)
+class _Advised:
+    """Frames with their advice; whoever drives them is on the same road, as in a run."""
+
+    road: Road
+    frames: Sequence[Frame]
+    advice: Sequence[Advice]
+
+
+def _advise(footage: Footage, frames: Sequence[Frame], predictor: Predictor) -> _Advised:
     road = fresh(footage.road)
     adviser = Adviser(predictor)
     state, out = begin(adviser, road), list[Advice]()
     for frame in frames:
         state, advice = tick(adviser, state, frame)
         out.append(advice)
-    return out
+    return _Advised(road, frames, out)
 
 
 def _framed(frames: Sequence[Frame], scenes: Sequence[Scene]) -> list[Frame]:
@@ -86,11 +97,11 @@ def _copied(frames: Sequence[Frame]) -> list[Frame]:
 
 
 def _drive(
-    agent: Agent, footage: Footage, frames: Sequence[Frame], advice: Sequence[Advice]
+    agent: Agent, footage: Footage, advised: _Advised
 ) -> Iterator[tuple[Any, Any, Command | None]]:
     """The memory as it was given, as it came out, and the command, of every frame."""
-    ego_id, state = footage.longest, agent.init(fresh(footage.road))
-    for frame, shown in zip(frames, advice, strict=True):
+    ego_id, state = footage.longest, agent.init(advised.road)
+    for frame, shown in zip(advised.frames, advised.advice, strict=True):
         told = guided(agent, state, ego_id, frame)
         answer: Any = agent.step(told, ego_id, frame.scene, shown)
         if not isinstance(answer, tuple) or len(answer) != 2:
@@ -108,8 +119,8 @@ def _runner(
 ) -> Callable[[Sequence[Frame]], Commands]:
     def run(frames: Sequence[Frame]) -> Commands:
         frames = _copied(frames)
-        advice = _advise(footage, frames, predictor)
-        return [command for _, _, command in _drive(agent, footage, frames, advice)]
+        advised = _advise(footage, frames, predictor)
+        return [command for _, _, command in _drive(agent, footage, advised)]
 
     return run
 
@@ -149,18 +160,17 @@ def _same(one: Commands, two: Commands, who: str) -> None:
 def _check_memory(agent: Agent, footage: Footage, predictor: Predictor) -> None:
     ego_id = footage.longest
     frames = _copied(footage.frames)
-    advice = _advise(footage, frames, predictor)
-    done = list(_drive(agent, footage, frames, advice))
+    advised = _advise(footage, frames, predictor)
+    done = list(_drive(agent, footage, advised))
     for frame in (1, len(frames) // 2):
         told, _, command = done[frame]
-        _, again = agent.step(told, ego_id, frames[frame].scene, advice[frame])
+        _, again = agent.step(told, ego_id, frames[frame].scene, advised.advice[frame])
         _same([command], [again], f"the memory of frame {frame}, asked later,")
 
 
 def _check_input(agent: Agent, footage: Footage, predictor: Predictor) -> None:
     given = _copied(footage.frames)
-    advice = _advise(footage, given, predictor)
-    for _ in _drive(agent, footage, given, advice):
+    for _ in _drive(agent, footage, _advise(footage, given, predictor)):
         pass
     for frame, scene in zip(given, footage.scenes, strict=True):
         part = differs_in(frame.scene, scene)
@@ -170,9 +180,9 @@ def _check_input(agent: Agent, footage: Footage, predictor: Predictor) -> None:
 
 def _time(agent: Agent, footage: Footage, predictor: Predictor) -> str:
     frames = _copied(footage.frames)
-    advice = _advise(footage, frames, predictor)
+    advised = _advise(footage, frames, predictor)
     taken_s, began = list[float](), time.perf_counter()
-    for _ in _drive(agent, footage, frames, advice):
+    for _ in _drive(agent, footage, advised):
         taken_s.append(time.perf_counter() - began)
         began = time.perf_counter()
     asks = "is told its way" if isinstance(agent, Guided) else "is not told its way"

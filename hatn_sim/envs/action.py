@@ -102,7 +102,9 @@ def numbers_of(action: object, space: Box) -> np.ndarray:
         )
     # Not finite is not within either.
     if not (np.abs(numbers) <= 1.0 + ROUNDING).all():
-        raise ActionRangeError(f"action: expected numbers from -1 to 1, found {numbers.tolist()}")
+        raise ActionRangeError(
+            f"action: expected shares from -1 to 1, not m/s2, found {numbers.tolist()}"
+        )
     return np.clip(numbers.astype(np.float64), -1.0, 1.0)
 
 

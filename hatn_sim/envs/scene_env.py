@@ -98,6 +98,18 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         self._on_this_road: Sequence[SceneEnv] = (self,)
         self._view: View | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickled and copied, even shallowly, it is at rest; a named predictor is loaded again."""
+        if isinstance(self._simulator, SumoSimulator):
+            self._simulator.check_at_rest()
+        is_named = self._episode is None and isinstance(self.options.predictor, str)
+        return self.__dict__ | ({"_predictor": None} if is_named else {})
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if self._predictor is None:
+            self._predictor = predictor_of(self.options.predictor)
+
     # -- gymnasium ------------------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Reset:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,9 +29,12 @@ class View:
         """The moment of an episode, as `picture`."""
         thought, mind = episode.thought, episode.mind
         sight, road = (thought and thought.sight), (mind and mind.road)
-        return self.picture(seen_in(episode), sight, road)
+        is_advised = mind is not None and mind.advises
+        return self.picture(seen_in(episode), sight, road, is_advised=is_advised)
 
-    def picture(self, seen: Seen, sight: Sight | None, road: Road | None) -> np.ndarray:
+    def picture(
+        self, seen: Seen, sight: Sight | None, road: Road | None, *, is_advised: bool = True
+    ) -> np.ndarray:
         """A moment [height, width, 3], as uint8."""
         scene, ego_id = seen.scene, seen.ego_id
         said = seen.advice.suggestions if seen.advice is not None else ()
@@ -41,6 +45,7 @@ class View:
             moment = predicted_moment(
                 scene, ego_id, suggestion, road, sight.prediction, sight.graphs, sight.lines
             )
+        moment = replace(moment, is_advised=is_advised)
         words = [self._title, f"t = {scene.time_s:.1f} s"]
         if ego_id in scene.ids:
             speed_mps = scene.speed_mps[scene.ids.index(ego_id)]

@@ -38,9 +38,9 @@ class Memory:
 class PolicyAgent:
     """Decides every `HOLDS_FRAMES` frames."""
 
-    def __init__(self, weights: Path) -> None:
+    def __init__(self, weights: Path | str) -> None:
         """Raises InputError where the weights cannot be read."""
-        self.network: Network = load_network(weights)
+        self.network: Network = load_network(Path(weights))
 
     def init(self, road: Road) -> Memory:
         """Nothing seen yet."""

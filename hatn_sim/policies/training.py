@@ -121,7 +121,8 @@ def side_by_side(makers: Sequence[MakeEnv]) -> Generator[VecEnv]:
     envs: SubprocVecEnv | None = None
     is_in_order = False
     try:
-        envs = SubprocVecEnv([partial(_brief, one) for one in makers], START)
+        with _ctrl_c_later():
+            envs = SubprocVecEnv([partial(_brief, one) for one in makers], START)
         yield envs
         is_in_order = True
     except (EOFError, ConnectionError) as error:
@@ -132,6 +133,19 @@ def side_by_side(makers: Sequence[MakeEnv]) -> Generator[VecEnv]:
     finally:
         if envs is not None:
             _end(envs, is_in_order and not envs.waiting)
+
+
+@contextmanager
+def _ctrl_c_later() -> Generator[None]:
+    """Processes that start in here never hear of ctrl-C; whoever starts them does afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end(envs: SubprocVecEnv, is_in_order: bool) -> None:

@@ -224,6 +224,8 @@ def _draw_header(sheet: Sheet, moment: Moment, caption: str) -> list[Artist]:
     top = style.height_in
     said = moment.suggestion
     title, colour = "No advice needed right now", SOFT_INK
+    if not moment.is_advised:
+        title = "Driven without advice"
     if said is not None:
         title, colour = f"\u201c{said.text}\u201d", INK
         if (age_s := moment.scene.time_s - said.time_s) > 0.25:

@@ -77,6 +77,7 @@ class Moment:
     forecasts: Mapping[str, Forecast]  # by vehicle
     suggestion: Suggestion | None  # the last one given, see its time
     alerts: tuple[Alert, ...] = ()  # the onsets of those that stand, whomever they name
+    is_advised: bool = True  # False: advice was not asked for
 
     @property
     def choice(self) -> dict[str, float]:

@@ -90,12 +90,16 @@ class SumoSimulator:
         """Wall clock that SUMO itself took for the last step, reading and the pipe excepted."""
 
     def __getstate__(self) -> dict[str, Any]:
+        self.check_at_rest()
+        return self.__dict__
+
+    def check_at_rest(self) -> None:
+        """Raises RunningError where SUMO runs: it cannot be copied, nor be driven by two."""
         if self._worker is not None:
             raise RunningError(
                 f"{self.name}: SUMO runs, and cannot be copied or pickled; expected it closed, or "
                 "another environment, reset with the same seed and driven by the same actions"
             )
-        return self.__dict__
 
     @property
     def name(self) -> str:
