@@ -410,3 +410,15 @@ def test_a_label_stays_where_it_was() -> None:
     before = {"a": np.array([-7.0, 3.0])}
     nothing = np.zeros((0, 2))
     assert place_labels([label], nothing, AROUND, before)["a"].tolist() == [-7.0, 3.0]
+
+
+@pytest.mark.parametrize("name", [r"$\frac{a$_^<b>", "bus$1$x_2", "one$", "plain"])
+def test_names_are_no_formulas(name: str) -> None:
+    """Ids may have dollars; matplotlib is asked how it reads them."""
+    from matplotlib.text import Text
+    from matplotlib.textpath import TextPath
+
+    from hatn_sim.report.canvas import plain
+
+    assert Text()._preprocess_math(plain(name)) == (name, False)
+    assert len(TextPath((0, 0), plain(name)).vertices) > 0

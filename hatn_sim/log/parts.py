@@ -121,7 +121,7 @@ def read_parts(
         frames: take only the rows of these frames; it starts at 0.
 
     Raises:
-        InputError: a part cannot be read or lacks a column.
+        InputError: a part cannot be read, lacks a column or names somebody who is not in `ids`.
     """
     chunks: dict[str, list[Array | Ragged]] = {c.name: [_no_rows(c, ids)] for c in columns}
     for path in (folder / part_name(part) for part in parts):
@@ -133,7 +133,13 @@ def read_parts(
             table = table.filter((frame < frames.stop) & (frame % frames.step == 0))
         for column in columns:
             arrow = table[column.name].combine_chunks()
-            values = _numpy(arrow.flatten() if column.ragged else arrow, column, ids)
+            try:
+                values = _numpy(arrow.flatten() if column.ragged else arrow, column, ids)
+            except KeyError as error:
+                raise InputError(
+                    f"{path}: names {error.args[0]!r}, who is nowhere in tracks/; parts of the log "
+                    "are missing, make the run again"
+                ) from None
             lengths = arrow.value_lengths().to_numpy() if column.ragged else None
             chunks[column.name].append(values if lengths is None else (values, lengths))
     rows: dict[str, Any] = {}

@@ -106,6 +106,11 @@ class Sheet:
         return canvas
 
 
+def plain(text: str) -> str:
+    """Words as they stand: between two `$` matplotlib would read a formula."""
+    return text.replace("$", r"\$")
+
+
 def open_sheet(
     style: Style, lanes: Sequence[Lane], centre_xy_m: FloatArray, width_m: float
 ) -> Sheet:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.log.road_file import ROAD_FILE, read_road
-from hatn_sim.report.canvas import INK, PAPER, SOFT_INK
+from hatn_sim.report.canvas import INK, PAPER, SOFT_INK, plain
 from hatn_sim.report.case_cast import Part, cast_of, panel_words, story_words
 from hatn_sim.report.case_graph import draw_graph
 from hatn_sim.report.case_legend import draw_legend
@@ -145,7 +145,7 @@ def _draw_header(
         va="center",
     )
     page.text(x, top - 0.32, story_words(case, cast), fontsize=7.2, color=INK, va="center")
-    page.text(x, top - 0.46, "  ·  ".join(facts), fontsize=6.2, color=SOFT_INK, va="center")
+    page.text(x, top - 0.46, plain("  ·  ".join(facts)), fontsize=6.2, color=SOFT_INK, va="center")
 
 
 def _draw_panel(

@@ -27,6 +27,7 @@ from hatn_sim.report.canvas import (
     columns,
     draw_alert_key,
     mixed,
+    plain,
     quad,
 )
 from hatn_sim.report.drawing_labels import draw_labels
@@ -230,6 +231,7 @@ def _draw_header(sheet: Sheet, moment: Moment, caption: str) -> list[Artist]:
         title, colour = f"\u201c{said.text}\u201d", INK
         if (age_s := moment.scene.time_s - said.time_s) > 0.25:
             caption += f"  ·  advised {age_s:.1f} s before"
+    title, caption = plain(title), plain(caption)
     wide_pt = 72.0 * (style.width_in - 2.0 * style.margin_in)
     return [
         page.text(

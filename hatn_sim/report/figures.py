@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.report.canvas import INK, SOFT_INK, plain
 from hatn_sim.whole_file import save_whole
 
 COLOURS: Final = (
@@ -54,7 +54,7 @@ def new_chart(size_in: tuple[float, float]) -> Figure:
 
 def head_chart(figure: Figure, title: str, size_pt: float) -> None:
     """The title, at the left above all panels."""
-    figure.suptitle(title, x=0.01, ha="left", fontsize=size_pt, color=INK)
+    figure.suptitle(plain(title), x=0.01, ha="left", fontsize=size_pt, color=INK)
 
 
 def dress(axes: Axes, label_pt: float) -> None:

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from hatn_sim.datatypes import DT_S, FloatArray, Kind
-from hatn_sim.report.canvas import INK, SOFT_INK
+from hatn_sim.report.canvas import INK, SOFT_INK, plain
 from hatn_sim.report.case_cast import BLACK
 from hatn_sim.report.figures import (
     COLOURS,
@@ -167,7 +167,7 @@ def _legend(
     handles: list[Line2D | Patch] = []
     for name, strand, look in zip(names, (story.ego, *story.others), looks, strict=True):
         kind = Kind(int(run.kinds[run.ids.index(strand.vehicle_id)])).name.lower()
-        handles.append(Line2D([], [], label=f"{name} {kind} {strand.vehicle_id}", **look))
+        handles.append(Line2D([], [], label=plain(f"{name} {kind} {strand.vehicle_id}"), **look))
     said = f"predicted by {run.predictors[0]}"
     dots: dict[str, Any] = {"marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.8}
     handles += [

@@ -21,8 +21,10 @@ function makeApp(head) {
 
 // An alert about the ego goes before its advice.
 function showSaid(app, view) {
-  const alert = view.alerts.find(({ ego, other }) => ego === app.ego || other === app.ego);
-  const words = alert ? alert.text : view.advice ? countedDown(view.advice.text, view.time - app.timeOf(view.advice.frame)) : '';
+  const own = view.alerts.find(({ ego }) => ego === app.ego);
+  const alert = own || view.alerts.find(({ other }) => other === app.ego);
+  const told = alert && (own ? alert.text : `${shortened(nameOf(app, alert.ego), 30)} is told: ${alert.text}`);
+  const words = told ? told : view.advice ? countedDown(view.advice.text, view.time - app.timeOf(view.advice.frame)) : '';
   const place = byId('said');
   if (place.textContent !== words) place.textContent = words;
   place.classList.toggle('alarmed', alert !== undefined);
