@@ -175,6 +175,9 @@ def test_a_click_chooses_the_ego(browser: Any, run_folder: Path) -> None:
     assert browser.find_element("css selector", "#panel h2").text == "northbound"
 
 
+DRIVERS = ("eastbound", "northbound")
+
+
 def test_alerts_and_events_lead_to_their_moments(browser: Any, run_folder: Path) -> None:
     opened(browser, run_folder, f"#t={FIRST_S}")
     onset_s, crash_s = (FIRST_S + DT_S * frame for frame in (ALERT_FRAMES[0], COLLISION_FRAME))
@@ -182,6 +185,8 @@ def test_alerts_and_events_lead_to_their_moments(browser: Any, run_folder: Path)
     now = waited(browser, lambda now: abs(now["time_s"] - onset_s) < 1e-6)
     assert [alert["type"] for alert in now["alerts"]] == ["CONFLICT"]
     assert "near northbound" in browser.find_element("id", "panel").text
+    said = {ego: opened(browser, run_folder, f"#t={onset_s}&ego={ego}")["said"] for ego in DRIVERS}
+    assert said["northbound"] == f"eastbound is told: {said['eastbound']}"
     rows = browser.find_elements("css selector", "#moments tbody tr")
     crash = next(row for row in rows if "T1" in row.text)
     crash.find_element("tag name", "button").click()
