@@ -69,6 +69,7 @@ def weights(tmp_path: Path) -> Path:
     return tmp_path / "raw.safetensors"
 
 
+@pytest.mark.slow
 def test_the_command(
     weights: Path,
     tmp_path: Path,

@@ -303,7 +303,7 @@ def test_the_fastest_driver_touches_nobody_who_drives_on(
     own: tuple[str, ...], theirs: tuple[str, ...], gate: Gate, other_mps: float
 ) -> None:
     """Neither slows down for the other but by the law; the crossing is 108 m along both."""
-    for away_m in (16.0, 22.0, 28.0, 34.0, 40.0):
+    for away_m in (16.0, 28.0, 34.0):
         for s_m, speed_mps in ((90.0, 6.0), (101.0, 0.0)):
             cars = {"ego": (own, s_m, speed_mps), "other": (theirs, 108.0 - away_m, other_mps)}
             touches, ends_m = fastest(gate, cars, steady, 8.0)

@@ -387,11 +387,12 @@ def test_an_agent_drives_as_its_network_does_in_the_environment(
     for who in asked:
         monkeypatch.setattr(f"hatn_sim.policies.{who}.lawful_mps2", spy(who))
     seen_lines: list[int] = []
-    network, steps, seed = load_network(weights), 52, 11
+    network, steps, seed = load_network(weights), 34, 11
     last = max(name for name in network.tensors if name.startswith("head") and "bias" in name)
     network.tensors[last][:] = 9.0 * np.arange(len(LEVELS_MPS2)) ** 2  # it would rather go
     save_network(weights, network)
-    env = make_lawful("intersection5", "hatn", network.layout, warm_up_s=20.0, ego="taken_over")
+    told = {"warm_up_s": 20.0, "ego": "taken_over", "density": "light"}
+    env = make_lawful("intersection5", "hatn", network.layout, **told)
     row, info = env.reset(seed=seed)
     ego_id, driven = info["ego_id"], []
     for _ in range(steps):
