@@ -106,6 +106,10 @@ def test_a_threshold_is_not_sought_where_there_is_nothing_to_seek_it_by(
         ([], "name scenes with --scenes"),
         (["--scenes", "tjunction", "--suite", "do_warn"], "drop one"),
         (["--scenes", "tjunction", "--rules", "hat"], "did you mean 'hatn'"),
+        (
+            ["--scenes", "tjunction", "--rules", "time_to_collision,never"],
+            "expected hatn among them",
+        ),
         (["--scenes", "tjunction", "--risk", "couteous"], "did you mean 'courteous'"),
         (["--scenes", "recorded_sample"], "recorded traffic has no seeds"),
     ],

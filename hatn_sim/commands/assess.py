@@ -91,7 +91,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="seconds to let traffic build up before (default: 60 in a shipped scene, 0 in yours)",
     )
     parser.add_argument(
-        "--rules", type=names, metavar="A,B", help="alert rules to compare (default: all)"
+        "--rules",
+        type=names,
+        metavar="A,B",
+        help="alert rules to compare, hatn among them (default: all)",
     )
     parser.add_argument("--weights", type=Path, metavar="FILE", help="weights of hatn")
     parser.add_argument(

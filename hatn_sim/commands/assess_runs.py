@@ -90,12 +90,18 @@ def _plans(arguments: argparse.Namespace, out: Path) -> Iterator[AssessPlan]:
     from hatn_sim.commands.versions import installed
     from hatn_sim.errors import InputError, nearest
     from hatn_sim.evaluation.assessing import AssessPlan
+    from hatn_sim.evaluation.comparison import FIXED, OURS
     from hatn_sim.evaluation.made_by import made_by
 
     rules: tuple[str, ...] = arguments.rules or tuple(RULES)
     for name in rules:
         if name not in RULES:
             raise InputError(f"--rules: unknown rule {name!r}{nearest(name, RULES)}")
+    if OURS not in rules and not set(rules) <= FIXED.keys():
+        raise InputError(
+            f"--rules: expected {OURS} among them, the others are compared at its false alarms; "
+            f"found {','.join(rules)}"
+        )
     settings = assist_settings(arguments)
     danger = None if arguments.calibrate else sha256_of_danger_network(settings.danger_network)
     for_seeds = arguments.seeds or (FOR_CALIBRATION if arguments.calibrate else HELD_OUT)
