@@ -136,6 +136,30 @@ def test_a_yield_names_the_same_vehicle_while_it_has_to_be_let_go() -> None:
     assert (one.action, one.slot_id) == ("yield", "other") and "more" not in one.text
 
 
+@pytest.mark.parametrize(
+    ("std_m", "told"), [(0.1, "; go after it in "), (12.0, "; wait until the way is clear")]
+)
+def test_a_time_is_told_only_where_the_gap_behind_is_there(std_m: float, told: str) -> None:
+    # At constant speed the third, 49.5 m from the place, is there after 5 s: the ego is there in
+    # 3.4 s, and out of it in less than 5.
+    vehicles = {
+        "ego": (0.0, -20.0, NORTH, 5.0),
+        "other": (-12.0, 0.0, 0.0, 10.0),
+        "third": (-56.0, 0.0, 0.0, 10.0),
+    }
+    scene, prediction = moment(vehicles, {"ego": [0.9, 0.1, 0.0]})
+    goal_m = 3.0 * scene.speed_mps[:, None]
+    weight, spread = np.ones_like(goal_m), np.full_like(goal_m, std_m)
+    goals = replace(prediction, goal_weight=weight, goal_mean_m=goal_m, goal_std_m=spread)
+    state = SuggestionState()
+    for frame in range(4):
+        now = replace(scene, time_s=0.1 * frame)
+        state, (one,) = suggest(state, ROAD, now, goals, frozenset({"ego"}))
+    assert (one.action, one.slot_id) == ("yield", "other")
+    assert told in one.text
+    assert one.target_time_s is not None and 3.0 < one.target_time_s < 4.0
+
+
 def test_a_yield_to_one_who_has_gone_is_none_to_whoever_comes_next() -> None:
     gone = SuggestionState({"ego": Told("ego", "another", "yield", True)})
     assert advise(TWO, [0.3, 0.7], gone)[1].action == "abstain"

@@ -18,11 +18,13 @@ from hatn_sim.assist.likely import Likely, likely_slots
 from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
-from hatn_sim.assist.profile import PROFILE_FRAMES, Profiles, drive
+from hatn_sim.assist.profile import COMFORT_ACCELERATION_MPS2, PROFILE_FRAMES, Profiles, drive
 from hatn_sim.assist.told import ROUNDING_S, Told, recall, remember
 from hatn_sim.assist.words import braking, names, words
 from hatn_sim.datatypes import (
     DT_S,
+    BoolArray,
+    FloatArray,
     Front,
     IntArray,
     Prediction,
@@ -130,6 +132,7 @@ def _suggestions(
     # Beyond the profile nobody goes before the way is open.
     waits = ~goes & (arrival > PROFILE_S)
     target = np.where(waits, np.maximum(arrival, options.open_s), arrival)
+    sure = (target <= PROFILE_S) & (goes | _gap_is_there(outlook, row, options, profiles, target))
     mean_mps, speeds = profiles.mean_mps(arrival), profiles.tick_speed_mps()
     ego, other = graphs.ego[row], chosen.other
     brakes = braking(scene.speed_mps[ego], speeds)
@@ -143,6 +146,7 @@ def _suggestions(
         likely.chances.of[rows, chosen.slot].tolist(),
         likely.chances.margin(chosen.slot).tolist(),
         [one if one <= FORESEEN_S else None for one in target.tolist()],
+        sure.tolist(),
         mean_mps.tolist(),
         chosen.feasible.tolist(),
         options.let_go.sum(axis=1).tolist(),
@@ -167,7 +171,7 @@ def _suggestions(
                 who,
                 action,
                 more=let_go - 1,
-                target_s=target_s,
+                target_s=target_s if is_sure else None,
                 feasible=feasible,
                 brakes=hard,
                 first=first,
@@ -184,6 +188,7 @@ def _suggestions(
             chance,
             margin,
             target_s,
+            is_sure,
             advised_mps,
             feasible,
             let_go,
@@ -193,3 +198,19 @@ def _suggestions(
             profile_mps,
         ) in columns
     )
+
+
+def _gap_is_there(
+    outlook: Outlook, row: IntArray, options: Options, profiles: Profiles, target_s: FloatArray
+) -> BoolArray:
+    """Whether nobody else may plausibly come before egos [R] that yield are out, from `target_s`.
+
+    A driver who is told a time looks for no further gap.
+    """
+    graphs = outlook.graphs
+    others = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0) & ~options.let_go
+    within_m = np.maximum(outlook.clear_m[row] - np.maximum(outlook.room_m[row], 0.0), 0.0)
+    from_stand_s = np.sqrt(2.0 * within_m / COMFORT_ACCELERATION_MPS2)
+    clear_s = profiles.arrival_s(np.where(others, outlook.clear_m[row], 0.0))
+    out_s = np.minimum(clear_s, target_s[:, None] + from_stand_s)
+    return np.asarray(~(others & (outlook.soonest_s[row] < out_s)).any(axis=1))
