@@ -11,7 +11,7 @@ where it will turn.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -162,9 +162,9 @@ def _bend_per_m(before_per_m: FloatArray, tracks: Tracks, step_m: FloatArray) ->
 
 
 def _front_xy_m(xy_m: FloatArray, yaw_rad: FloatArray, length_m: FloatArray) -> FloatArray:
-    """Middle of the front [N, 2] of boxes [N]."""
-    heading = np.stack((np.cos(yaw_rad), np.sin(yaw_rad)), axis=1)
-    return xy_m + 0.5 * length_m[:, None] * heading
+    """Middle of the front [..., 2] of boxes [...]."""
+    heading = np.stack((np.cos(yaw_rad), np.sin(yaw_rad)), axis=-1)
+    return xy_m + 0.5 * length_m[..., None] * heading
 
 
 def _foot_cost_m(
@@ -204,7 +204,7 @@ def renew(
     if not (astray | short).any():
         return state
     fields = {name: getattr(state, name).copy() for name in _PER_VEHICLE}
-    world = world_of(scene).tolist()
+    lines_of: dict[int, list[int]] = {}
     for i in np.flatnonzero(astray | short).tolist():
         kind = Kind(int(scene.kind[i]))
         if astray[i]:
@@ -217,12 +217,11 @@ def renew(
                 continue  # there is no more of the road, or no more than was drawn on this lane
             fields["renewed"][i] = lane
             prefixes = [_undecided(road, int(own[i]), s_now)]
-        found = list(dict.fromkeys(k for p in prefixes for k in road.branches(p, kind)))
+        lines_of[i] = list(dict.fromkeys(k for p in prefixes for k in road.branches(p, kind)))
         fields["line"][i] = -1
         fields["chosen"][i] = -1
-        if not found:
-            continue
-        warped = _warp(road, tracks, i, float(scene.size_m[i, 0]), np.array(found, dtype=np.int64))
+    world = world_of(scene)
+    for i, warped in _warped(road, tracks, scene, lines_of):
         cost, kept = warped.cost_m, warped.line
         nearest = np.sort(np.argsort(cost, kind="stable")[:MAX_CANDIDATES])
         order = nearest[_by_habit(road, habits[world[i]], kept[nearest])]
@@ -289,36 +288,49 @@ class _Warped:
     weight_m: float
 
 
-def _warp(
-    road: Road, tracks: Tracks, vehicle: int, length_m: float, candidates: IntArray
-) -> _Warped:
-    """Candidates near the vehicle now, by one warping of its last frames."""
-    yaw = tracks.yaw_rad[vehicle, -WARP_FRAMES:]
-    lengths_m = np.full(WARP_FRAMES, length_m)
-    xy = _front_xy_m(tracks.xy_m[vehicle, -WARP_FRAMES:], yaw, lengths_m)
-    valid = tracks.valid[vehicle, -WARP_FRAMES:]
-    many = len(candidates)
-    reach_m = float(road.count[candidates].max()) * LINE_STEP_M
-    s_now, d_now = road.search(candidates, np.repeat(xy[-1:], many, 0), np.zeros(many), reach_m)
+def _warped(
+    road: Road, tracks: Tracks, scene: Scene, lines_of: Mapping[int, Sequence[int]]
+) -> list[tuple[int, _Warped]]:
+    """Of each vehicle's lines those near it now, by one warping of its last frames; all at once."""
+    sizes = [len(found) for found in lines_of.values()]
+    if not sum(sizes):
+        return []
+    line = np.array([k for found in lines_of.values() for k in found], dtype=np.int64)
+    who = np.array([i for i, found in lines_of.items() if found], dtype=np.int64)
+    of = np.repeat(np.arange(len(who)), [size for size in sizes if size])  # [C], into `who`
+    frames = np.s_[who, -WARP_FRAMES:]
+    yaw, valid = tracks.yaw_rad[frames], tracks.valid[frames]
+    length_m = scene.size_m[who, 0]
+    xy = _front_xy_m(tracks.xy_m[frames], yaw, length_m[:, None])
+    reach_m = float(road.count[line].max()) * LINE_STEP_M
+    s_now, d_now = road.search(line, xy[of, -1], np.zeros(len(line)), reach_m)
     near = np.abs(d_now) <= NEAR_M
-    candidates, s_now = candidates[near], s_now[near]
-    step_m = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    behind_m = np.concatenate((np.cumsum(step_m[::-1])[::-1], [0.0]))
-    line = np.repeat(candidates, WARP_FRAMES)
-    all_xy, all_yaw = np.tile(xy, (len(candidates), 1)), np.tile(yaw, len(candidates))
-    s, d = road.project(line, all_xy, (s_now[:, None] - behind_m).ravel(), 4.0)
-    cost, turned = _foot_cost_m(road, line, all_yaw, np.tile(lengths_m, len(candidates)), s, d)
-    cost = cost.reshape(-1, WARP_FRAMES)
-    weight = np.concatenate(([0.0], step_m))
-    weight[np.argmax(valid)] = FIRST_M
+    line, of, s_now = line[near], of[near], s_now[near]
+    step_m = np.linalg.norm(np.diff(xy, axis=1), axis=2)
+    behind_m = np.zeros(yaw.shape)
+    behind_m[:, :-1] = np.cumsum(step_m[:, ::-1], axis=1)[:, ::-1]
+    each = np.repeat(line, WARP_FRAMES)
+    guess_m = (s_now[:, None] - behind_m[of]).ravel()
+    s, d = road.project(each, xy[of].reshape(-1, 2), guess_m, 4.0)
+    lengths_m = np.repeat(length_m[of], WARP_FRAMES)
+    cost, turned = _foot_cost_m(road, each, yaw[of].ravel(), lengths_m, s, d)
+    cost, turned, d = (a.reshape(len(line), WARP_FRAMES) for a in (cost, turned, d))
+    weight = np.concatenate((np.zeros((len(who), 1)), step_m), axis=1)
+    weight[np.arange(len(who)), valid.argmax(axis=1)] = FIRST_M
     weight = np.where(valid, weight * np.exp(-behind_m / RECENT_M), 0.0)
-    total_m = float(weight.sum())
-    return _Warped(
-        line=candidates,
-        s_m=s_now,
-        cost_m=cost @ weight / total_m,
-        now_m=cost[:, -1],
-        d_m=d.reshape(cost.shape)[:, -1],
-        turned_rad=turned.reshape(cost.shape)[:, -1],
-        weight_m=total_m,
-    )
+    total_m = weight.sum(axis=1)
+    ends = np.searchsorted(of, np.arange(len(who) + 1))
+    found: list[tuple[int, _Warped]] = []
+    for k, i in enumerate(who.tolist()):
+        own = slice(ends[k], ends[k + 1])
+        warped = _Warped(
+            line=line[own],
+            s_m=s_now[own],
+            cost_m=cost[own] @ weight[k] / total_m[k],
+            now_m=cost[own, -1],
+            d_m=d[own, -1],
+            turned_rad=turned[own, -1],
+            weight_m=float(total_m[k]),
+        )
+        found.append((i, warped))
+    return found
