@@ -38,6 +38,7 @@ from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.perception import PerceptionState, perceive
 from hatn_sim.perception import begin as begin_to_perceive
+from hatn_sim.perception import recall as recall_scenes
 from hatn_sim.plugins import SHIPPED_AGENTS
 from hatn_sim.road import Road
 
@@ -102,6 +103,26 @@ def observe(adviser: Adviser, state: AdviserState, frame: Frame) -> AdviserState
     with predictors_fault(adviser.predictor, frame.scene):
         memory = adviser.predictor.observe(state.memory, frame.scene, routes)
     return taken_in(adviser, state, frame, memory)
+
+
+def recall(adviser: Adviser, state: AdviserState, frames: Sequence[Frame]) -> AdviserState:
+    """Take in what was before anybody looked, as history: see `perception.recall`.
+
+    A predictor whose memory is more than what it perceived observes frame by frame.
+    """
+    shared = _perceived(state.memory)
+    if shared is not None and shared is not state.memory:
+        for frame in frames:
+            state = observe(adviser, state, frame)
+        return state
+    perception = recall_scenes(state.perception, [frame.scene for frame in frames])
+    if shared is not None:
+        return replace(state, memory=perception, perception=perception)
+    memory = state.memory
+    for frame in frames:
+        with predictors_fault(adviser.predictor, frame.scene):
+            memory = adviser.predictor.observe(memory, frame.scene, routes_told(adviser, frame))
+    return replace(state, memory=memory, perception=perception)
 
 
 def routes_told(adviser: Adviser, frame: Frame) -> tuple[Route | None, ...] | None:

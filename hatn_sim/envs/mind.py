@@ -26,6 +26,7 @@ from hatn_sim.loop import (
     foresee,
     observe,
     predictors_fault,
+    recall,
     routes_told,
     taken_in,
 )
@@ -94,13 +95,17 @@ def open_mind(
     lines: LineSource,
     ego_id: str | frozenset[str],
     road: Road,
+    before: Sequence[Frame] = (),
     *,
     advises: bool = True,
 ) -> Mind:
-    """Nothing seen yet; advice is for the ego, or for several of them, alone, or for nobody."""
+    """Nothing seen yet but the frames `before`.
+
+    Advice is for the ego, or for several of them, alone, or for nobody.
+    """
     egos = frozenset({ego_id}) if isinstance(ego_id, str) else ego_id
     adviser = Adviser(predictor, lines, egos)
-    return Mind(adviser, road, begin(adviser, road), advises)
+    return Mind(adviser, road, recall(adviser, begin(adviser, road), before), advises)
 
 
 def glance(mind: Mind, frame: Frame) -> Mind:

@@ -153,9 +153,8 @@ class SceneParallelEnv(ParallelEnv[str, Observation, Any]):
         if self._predictor is not None:
             lines = cast(LineSource, self.options.lines)
             advises = self.options.advice
-            mind = open_mind(self._predictor, lines, frozenset(names), road, advises=advises)
-            for frame in frames[:-1]:
-                mind = glance(mind, frame)
+            egos = frozenset(names)
+            mind = open_mind(self._predictor, lines, egos, road, frames[:-1], advises=advises)
         episodes = {name: Episode(name, number, road, frames[-1], mind) for name in names}
         for episode in episodes.values():
             episode.begin()

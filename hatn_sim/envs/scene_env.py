@@ -150,10 +150,10 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         if self._predictor is not None:
             lines = cast(LineSource, self.options.lines)
             advises = self.options.advice
-            mind = open_mind(self._predictor, lines, ego_id, road, advises=advises)
+            mind = open_mind(self._predictor, lines, ego_id, road, frames[:-1], advises=advises)
         episode = Episode(ego_id, number, road, frames[-1], mind)
         episode.begin()
-        yield from self._think(episode, frames)
+        yield from self._think(episode, frames[-1:])
         self._episode = episode
         observation = self._observation(episode)
         if self.render_mode == "human":
