@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -13,9 +14,6 @@ from hatn_sim.geometry import arc_length_m, resample
 from hatn_sim.road import Road
 
 STEP_M: Final = 0.5
-BACK_M: Final = 3.0
-AHEAD_M: Final = 12.0
-"""Where to look for the next position, from the last one on."""
 CROSSED_M: Final = 10.0
 """Who has left the last junction of its way this far behind has crossed."""
 JOINED_M: Final = 50.0
@@ -37,7 +35,7 @@ class Way:
     """A way, and where on it the vehicle is."""
 
     route: Route
-    xy_m: FloatArray  # [P, 2] a point each `STEP_M`
+    xy_m: Sequence[tuple[float, float]]  # [P] a point each `STEP_M`
     s_m: float
     last_junction_s_m: float | None  # where it is left; None: there is none
     first_crossing: Crossing | None  # of the whole route; None: it leads through no junction
@@ -45,9 +43,7 @@ class Way:
 
     def moved(self, xy_m: FloatArray) -> Way:
         """The vehicle is here [2] now, a frame later."""
-        low = min(max(int((self.s_m - BACK_M) / STEP_M), 0), len(self.xy_m) - 2)
-        near = self.xy_m[low : int((self.s_m + AHEAD_M) / STEP_M) + 2]
-        s_m = _along(near, xy_m) + low * STEP_M
+        s_m = _along(self.xy_m, round(self.s_m / STEP_M), *xy_m.tolist())
         last, first = self.last_junction_s_m, self.first_crossing
         return Way(self.route, self.xy_m, s_m, last, first, self.ends_m)  # faster than `replace`
 
@@ -65,7 +61,10 @@ def way_along(road: Road, route: Route, xy_m: FloatArray) -> Way:
     ends = _ends_m(lanes)
     left = ends[inside[-1]] if inside else None
     first = _first_crossing(route, inside, ends)
-    return Way(route, points, _along(points, xy_m), left, first, ends)
+    away = xy_m - points
+    nearest = int(np.einsum("px,px->p", away, away).argmin())
+    way: list[tuple[float, float]] = list(map(tuple, points.tolist()))
+    return Way(route, way, _along(way, nearest, *xy_m.tolist()), left, first, ends)
 
 
 def _ends_m(lanes: Sequence[Lane]) -> list[float]:
@@ -94,13 +93,26 @@ def _first_crossing(
     )
 
 
-def _along(points_m: FloatArray, xy_m: FloatArray) -> float:
-    """Arc length, from the first of points [P, 2] on, of the nearest place to `xy_m` [2]."""
-    away = xy_m - points_m
-    nearest = int(np.einsum("px,px->p", away, away).argmin())
-    first = min(nearest, len(points_m) - 2)
-    along = points_m[first + 1] - points_m[first]
-    length_m = max(float(np.hypot(*along)), 1e-9)
+def _along(points_m: Sequence[tuple[float, float]], near: int, x_m: float, y_m: float) -> float:
+    """Arc length, from the first of points [P] on, of the nearest place to x, y.
+
+    The way there is down from the point `near`: a vehicle passes few points in a frame, and those
+    of another lap of its way are not meant. Plain numbers, as arrays take longer for so few.
+    """
+
+    def away_m2(point: int) -> float:
+        px, py = points_m[point]
+        return (x_m - px) ** 2 + (y_m - py) ** 2
+
+    last = len(points_m) - 1
+    at = min(max(near, 0), last)
+    least = away_m2(at)
+    step = 1 if at < last and away_m2(at + 1) < least else -1
+    while 0 <= at + step <= last and (next_m2 := away_m2(at + step)) < least:
+        at, least = at + step, next_m2
+    first = min(at, last - 1)
+    (px, py), (qx, qy) = points_m[first], points_m[first + 1]
+    dx, dy = qx - px, qy - py
+    along_m = ((x_m - px) * dx + (y_m - py) * dy) / max(math.hypot(dx, dy), 1e-9)
     # Whoever is beyond an end of the way, or was steered off it, gets no farther than that.
-    s_m = STEP_M * first + float(away[first] @ along) / length_m
-    return min(max(s_m, 0.0), STEP_M * (len(points_m) - 1))
+    return min(max(STEP_M * first + along_m, 0.0), STEP_M * last)

@@ -76,19 +76,22 @@ def terms_of(
     scene = before.scene
     acceleration = (_speed_mps(scene, after.scene) - scene.speed_mps) / DT_S
     ego = scene.ids.index(ego_id)
-    away = scene.xy_m - scene.xy_m[ego]
-    near = np.einsum("nx,nx->n", away, away) <= NEAR_M**2
-    hardest_mps2 = -float(acceleration[near].min())
-    share = min(max((hardest_mps2 - HARD_MPS2) / (HARDEST_MPS2 - HARD_MPS2), 0.0), 1.0)
+    own_mps2 = float(acceleration[ego])
     emergency = after.truth.emergency_braking
-    is_emergency = bool(emergency) and any(
-        name in emergency for name, close in zip(scene.ids, near.tolist(), strict=True) if close
-    )
+    share = 0.0
+    if emergency or acceleration.min() < -HARD_MPS2:
+        away = scene.xy_m - scene.xy_m[ego]
+        near = np.einsum("nx,nx->n", away, away) <= NEAR_M**2
+        hardest_mps2 = -float(acceleration[near].min())
+        share = min(max((hardest_mps2 - HARD_MPS2) / (HARDEST_MPS2 - HARD_MPS2), 0.0), 1.0)
+        close = zip(scene.ids, near.tolist(), strict=True)
+        if any(is_near and name in emergency for name, is_near in close):
+            share = 1.0
     return Terms(
         progress_m=progress_m,
         time_s=DT_S,
-        discomfort_s=DT_S * min((float(acceleration[ego]) / COMFORT_MPS2) ** 2, MOST_DISCOMFORT),
-        risk_s=DT_S * (1.0 if is_emergency else share),
+        discomfort_s=DT_S * min((own_mps2 / COMFORT_MPS2) ** 2, MOST_DISCOMFORT),
+        risk_s=DT_S * share,
         lawless=lawless,
         collision=float(has_collided(after, ego_id)),
         arrival=float(arrived),
