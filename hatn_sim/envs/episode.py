@@ -41,15 +41,17 @@ class Episode:
     acceleration_mps2: float = 0.0  # of the ego, in the last frame
     frames: int = 0
     end: str = ""
+    row: int | None = field(init=False)  # of the ego in the scene; None: it is gone
 
     @property
     def is_over(self) -> bool:
         return bool(self.end)
 
-    @property
-    def row(self) -> int | None:
-        """Of the ego in the scene; None: it is gone."""
-        ids = self.frame.scene.ids
+    def __post_init__(self) -> None:
+        self.row = self._row_in(self.frame)
+
+    def _row_in(self, frame: Frame) -> int | None:
+        ids = frame.scene.ids
         return ids.index(self.ego_id) if self.ego_id in ids else None
 
     def begin(self) -> None:
@@ -64,7 +66,7 @@ class Episode:
         """Takes in the next frame; what it was worth."""
         before, row = self.frame, self.row
         assert row is not None and not self.end
-        self.frame, self.frames = frame, self.frames + 1
+        self.frame, self.frames, self.row = frame, self.frames + 1, self._row_in(frame)
         progress_m, offences = self._move(before, row)
         self.end = self._end(options)
         is_arrival = self.end == ARRIVED

@@ -6,6 +6,7 @@ another. What is not there is 0 and masked.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -117,7 +118,8 @@ def in_frame_of(scene: Scene, ego: int, xy_m: FloatArray) -> FloatArray:
 
 
 def _turned(scene: Scene, ego: int, vector: FloatArray) -> FloatArray:
-    cos, sin = np.cos(scene.yaw_rad[ego]), np.sin(scene.yaw_rad[ego])
+    yaw_rad = float(scene.yaw_rad[ego])
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     return vector @ np.array([[cos, -sin], [sin, cos]])
 
 
@@ -156,23 +158,15 @@ def _on_road(scene: Scene, ego: int, sight: Sight, row: int | None) -> FloatArra
 def _others(scene: Scene, ego: int, near: IntArray, rear: IntArray | None) -> Observation:
     count = len(near)
     turned = scene.yaw_rad[near] - scene.yaw_rad[ego]
-    speed = scene.speed_mps[near]
-    slot = np.zeros(count)
+    speed, cos, sin = scene.speed_mps[near], np.cos(turned), np.sin(turned)
+    values = np.zeros((count, len(OTHER)))
+    values[:, 0:2] = in_frame_of(scene, ego, scene.xy_m[near])
+    values[:, 2], values[:, 3] = cos, sin
+    values[:, 4], values[:, 5] = speed * cos - scene.speed_mps[ego], speed * sin
+    values[:, 6], values[:, 7:9] = speed, scene.size_m[near]
     if rear is not None:
         of_node = near[:, None] == rear[1:]
-        slot = np.where(of_node.any(axis=1), 1 + of_node.argmax(axis=1), 0)
-    values = np.column_stack(
-        (
-            in_frame_of(scene, ego, scene.xy_m[near]),
-            np.cos(turned),
-            np.sin(turned),
-            speed * np.cos(turned) - scene.speed_mps[ego],
-            speed * np.sin(turned),
-            speed,
-            scene.size_m[near],
-            slot,
-        )
-    )
+        values[:, 9] = np.where(of_node.any(axis=1), 1 + of_node.argmax(axis=1), 0)
     vehicles = np.zeros((VEHICLES, len(OTHER)), np.float32)
     vehicles[:count] = clipped(values, OTHER)
     return {"vehicles": vehicles, "vehicle_mask": _first(count, VEHICLES)}

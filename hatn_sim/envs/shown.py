@@ -30,16 +30,18 @@ def slots_now(episode: Episode) -> BoolArray:
 
 def observation_of(episode: Episode, space: Dict, options: EnvOptions) -> Observation:
     """All arrays of the space; 0 where the ego is gone."""
-    whole: Observation = {key: np.zeros(box.shape or (), np.float32) for key, box in space.items()}
     row, thought, scene = episode.row, episode.thought, episode.frame.scene
-    if row is not None:
+    whole: Observation
+    if row is None:
+        whole = {key: np.zeros(box.shape or (), np.float32) for key, box in space.items()}
+    else:
         left = 1.0 - episode.frames * DT_S / options.duration_s
         ego = Ego(row, episode.acceleration_mps2, left)
         if options.observation_form == "slots":
             assert thought is not None
-            whole |= observe_slots(scene, ego, thought.sight)
+            whole = observe_slots(scene, ego, thought.sight)
         else:
-            whole |= observe_vehicles(scene, ego)
+            whole = observe_vehicles(scene, ego)
     if options.action_form == "slot":
         whole["action_mask"] = slots_now(episode).astype(np.float32)
     return whole

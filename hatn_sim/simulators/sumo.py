@@ -46,6 +46,7 @@ from hatn_sim.simulators.sumo_messages import (
     Started,
     WindowClosed,
     accelerations,
+    numbers_of,
 )
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, Workers, one_line
 from hatn_sim.simulators.sumo_window import START
@@ -334,7 +335,7 @@ class SumoSimulator:
             raise InputError(f"{self.scenario.config_path}: {fault}; correct the scene")
 
     def _frames(self, raw: Sequence[RawFrame]) -> list[Frame]:
-        rows = np.concatenate([one.rows for one in raw])
+        rows = numbers_of(raw)
         numbers = rows[:, 7:11].astype(np.int64)
         xy_m, size_m, colour = rows[:, 0:2].copy(), rows[:, 5:7].copy(), numbers[:, 1:4].copy()
         yaw_rad, speed_mps, kind = rows[:, 2].copy(), rows[:, 3].copy(), numbers[:, 0].copy()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from hatn_sim.datatypes import BoolArray, Change, Command, FloatArray, IntArray, Route
 from hatn_sim.errors import InputError
@@ -12,25 +15,30 @@ from hatn_sim.simulators.sumo_lanes import LaneTable
 
 def accelerations(commands: Iterable[Command]) -> list[tuple[str, float]]:
     """(vehicle, acceleration in m/s2) of each. Raises InputError for one that steers."""
+    told: list[tuple[str, float]] = []
     for command in commands:
         if command.steering_rad is not None:
             raise InputError(
                 f"{command.ego_id!r} cannot be steered: SUMO keeps vehicles on their lanes; "
                 "command its acceleration alone"
             )
-    return [(command.ego_id, command.acceleration_mps2) for command in commands]
+        told.append((command.ego_id, command.acceleration_mps2))
+    return told
 
 
-@dataclass(frozen=True, eq=False)
-class RawFrame:
-    """A frame, each road user's numbers in one row."""
+class RawFrame(NamedTuple):
+    """A frame, each road user's numbers in one row.
+
+    Numbers are told as bytes, and frames as tuples: arrays and records of one frame take several
+    times as long to pickle.
+    """
 
     time_s: float
     ids: tuple[str, ...]  # [N]
-    rows: FloatArray  # [N, 11] x, y, yaw, speed, blinker, length, width, kind, red, green, blue
+    rows: bytes  # float64 [N, 11] x, y, yaw, speed, blinker, length, width, kind, red, green, blue
     routes: tuple[int, ...]  # [N] index among all routes sent so far, -1: on no lane
     new_routes: tuple[Route, ...]  # those not sent before
-    signal_closed: BoolArray  # [S]
+    closed: bytes  # a bool for each signal [S]
     collisions: tuple[tuple[str, str], ...]
     emergency_braking: tuple[str, ...]
     departed: tuple[str, ...]
@@ -38,6 +46,19 @@ class RawFrame:
     teleported: tuple[str, ...]
     done: bool
     sumo_s: float = 0.0  # wall clock of SUMO's own step, reading excepted
+
+    @property
+    def signal_closed(self) -> BoolArray:
+        """[S], to be read only."""
+        return np.frombuffer(self.closed, np.bool_)
+
+
+COLUMNS: Final = 11
+
+
+def numbers_of(frames: Sequence[RawFrame]) -> FloatArray:
+    """The rows of frames, one after the other; to be read only."""
+    return np.frombuffer(b"".join([one.rows for one in frames])).reshape(-1, COLUMNS)
 
 
 @dataclass(frozen=True, eq=False)

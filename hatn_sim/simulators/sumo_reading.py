@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import accumulate
-from typing import Final
 
 import numpy as np
 
-from hatn_sim.simulators.sumo_messages import RawFrame
+from hatn_sim.simulators.sumo_messages import COLUMNS, RawFrame
 from hatn_sim.simulators.sumo_rows import centred
 
-COLUMNS: Final = 11
 Row = tuple[float, ...]
 """Of a road user: front x, y, compass angle, and from there on as in `RawFrame`."""
 Read = tuple[list[Row], Callable[..., RawFrame]]
@@ -24,6 +22,6 @@ def frames_of(read: Sequence[Read]) -> tuple[RawFrame, ...]:
     every[:, :2], every[:, 2] = centred(every[:, :2], every[:, 2], every[:, 5])
     ends = accumulate(len(rows) for rows, _ in read)
     return tuple(
-        frame(rows=every[end - len(rows) : end])
+        frame(rows=every[end - len(rows) : end].tobytes())
         for (rows, frame), end in zip(read, ends, strict=True)
     )

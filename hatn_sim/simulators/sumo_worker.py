@@ -16,7 +16,6 @@ from functools import partial
 from typing import Any, Final
 
 import libsumo
-import numpy as np
 
 from hatn_sim.datatypes import PEDESTRIAN_PREFIX, Kind
 from hatn_sim.simulators.sumo_branch import Branches
@@ -194,13 +193,10 @@ class Simulation:
             ids=tuple(ids),
             routes=tuple(routes),
             new_routes=new_routes,
-            signal_closed=np.array(
-                [
-                    state in CLOSED_SIGNALS
-                    for light in self._lights
-                    for state in libsumo.trafficlight.getRedYellowGreenState(light)
-                ],
-                np.bool_,
+            closed=bytes(
+                state in CLOSED_SIGNALS
+                for light in self._lights
+                for state in libsumo.trafficlight.getRedYellowGreenState(light)
             ),
             collisions=_collisions(persons),
             emergency_braking=emergency_braking,

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from hatn_sim.datatypes import Frame, Route, Scene, Truth
-from hatn_sim.simulators.sumo_messages import RawFrame
+from hatn_sim.simulators.sumo_messages import RawFrame, numbers_of
 from hatn_sim.simulators.sumo_replay.figures import Overlap
 from hatn_sim.simulators.sumo_replay.plan import Look
 from hatn_sim.simulators.touching import touching_rows_of
@@ -19,7 +19,7 @@ def shown_scene(
     """The recorded vehicles but those `instead`, then SUMO's with the looks that were recorded."""
     kept = np.array([name not in instead for name in recorded.ids], dtype=np.bool_)
     of_sumo = [looks[name] for name in raw.ids]
-    count, rows = len(of_sumo), raw.rows
+    count, rows = len(of_sumo), numbers_of([raw])
     size_m = np.array([look.size_m for look in of_sumo], np.float64).reshape(count, 2)
     kind = np.array([look.kind for look in of_sumo], np.int64)
     colour = np.array([look.colour for look in of_sumo], np.int64).reshape(count, 3)
