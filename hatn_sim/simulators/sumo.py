@@ -148,13 +148,9 @@ class SumoSimulator:
         """
         if not 0 <= seed <= MAX_SEED:
             raise InputError(f"seed: expected 0 to {MAX_SEED}, found {seed}")
-        self._end()
         self._seed, self._time_s = seed, 0.0
         self._routes = []
-        try:
-            self._worker = SumoWorker(self._workers)
-        except WorkerDiedError as error:
-            raise self._stopped(str(error)) from None
+        self._begin_anew()
         answer = self._inquire((*self._options, "--seed", str(seed)))
         if isinstance(answer, Refused):
             reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
@@ -269,6 +265,23 @@ class SumoSimulator:
             self._end()
         finally:
             self._workers.close()
+
+    def _begin_anew(self) -> None:
+        """Another worker in place of the last one, which leaves while the new one comes.
+
+        It has left before the new one opens a file: both may write the same.
+        """
+        last, self._worker = self._worker, None
+        if last is not None:
+            last.dismiss()
+        try:
+            self._worker = SumoWorker(self._workers)
+        except WorkerDiedError as error:
+            raise self._stopped(str(error)) from None
+        finally:
+            if last is not None:
+                with self._closed_if_interrupted():
+                    last.await_end()
 
     def _end(self) -> None:
         worker, self._worker = self._worker, None

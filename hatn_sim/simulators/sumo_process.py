@@ -90,11 +90,19 @@ class SumoWorker:
 
     def close(self) -> None:
         """Lets the worker leave, or ends it if it does not. May be called again."""
+        self.dismiss()
+        self.await_end()
+
+    def dismiss(self) -> None:
+        """Lets the worker leave, which takes it a while. `await_end` has to follow."""
         # What was forked off this process may hold the pipes, too: closing them is not enough.
         if os.getpid() == self._owner:
             with suppress(WorkerDiedError, ValueError):
                 self.tell(Leave())
         self._close_files()
+
+    def await_end(self) -> None:
+        """Waits until a dismissed worker has left, or ends it if it does not."""
         try:
             self._process.wait(LEAVE_TIMEOUT_S)
         except BaseException as reason:  # too slow, or ctrl-C while waiting
@@ -141,10 +149,19 @@ class Workers:
         """
         if not FORKS or not hasattr(os, "fork"):
             return _spawned((self._module,), files)
+        known = self._living_nursery()
+        try:
+            return known.fork(files)
+        except WorkerDiedError:
+            if known.is_of_use:  # there is no room for one more
+                raise
+        return self._living_nursery().fork(files)  # it died just now
+
+    def _living_nursery(self) -> _Nursery:
         if self._nursery is None or not self._nursery.is_of_use:
             self.close()
             self._nursery = _Nursery.shared(self._module)
-        return self._nursery.fork(files)
+        return self._nursery
 
     def close(self) -> None:
         """May be called again; `start` opens it anew."""
@@ -245,6 +262,8 @@ class _Nursery:
     def _asked(self, kind: bytes, number: int, files: Sequence[int] = ()) -> tuple[bool, int]:
         if not self._is_own:
             raise WorkerDiedError("it belongs to another process")
+        if self._control.fileno() < 0:
+            raise WorkerDiedError("it has left")
         try:
             with self._talking:
                 socket.send_fds(self._control, [REQUEST.pack(kind, number)], files)

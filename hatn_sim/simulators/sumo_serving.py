@@ -72,6 +72,8 @@ def _serve(
     os.environ.clear()
     os.environ.update(surroundings.variables)
     options = pickle.load(requests)
+    if isinstance(options, Leave):
+        return
     try:
         simulation = start(options)
     except gives_up as error:

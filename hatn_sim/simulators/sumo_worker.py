@@ -142,23 +142,26 @@ class Simulation:
             if is_last or left <= kept:
                 read.append(self._read())
             else:
-                self._glance()
+                self._glance(with_speeds=left == kept + 1 or self._ends_next)
             if is_last:
                 break
         return Advanced(frames_of(read))
 
-    def _glance(self) -> None:
-        """As `observe` for all that has an effect on frames to come, and on SUMO."""
+    def _glance(self, *, with_speeds: bool) -> None:
+        """As `observe` for all that has an effect on frames to come, and on SUMO.
+
+        Speeds are looked up by the next frame alone, if that is one to tell of.
+        """
         vehicle, track = libsumo.vehicle, self._tracker.index
-        get_position, get_speed = vehicle.getPosition, vehicle.getSpeed
-        get_lane, get_route = vehicle.getLaneID, vehicle.getRouteID
-        speeds_mps: dict[str, float] = {}
+        get_position, get_lane, get_route = (
+            vehicle.getPosition, vehicle.getLaneID, vehicle.getRouteID,
+        )  # fmt: skip
         self._forget()
-        for name in vehicle.getIDList():
-            if get_position(name)[0] >= INVALID_M:
-                speeds_mps[name] = get_speed(name)
-                track(name, get_lane(name), get_route(name))
-        self._speeds_mps = speeds_mps
+        names = [name for name in vehicle.getIDList() if get_position(name)[0] >= INVALID_M]
+        for name in names:
+            track(name, get_lane(name), get_route(name))
+        if with_speeds:
+            self._speeds_mps = {name: vehicle.getSpeed(name) for name in names}
 
     def _forget(self) -> tuple[str, ...]:
         """Drops those who have arrived; they are told."""
@@ -172,6 +175,11 @@ class Simulation:
     def _done(self) -> bool:
         simulation = libsumo.simulation
         return simulation.getMinExpectedNumber() == 0 or simulation.getTime() >= self._end_s
+
+    @property
+    def _ends_next(self) -> bool:
+        simulation = libsumo.simulation
+        return simulation.getTime() + 1.5 * simulation.getDeltaT() >= self._end_s
 
     def observe(self, names: Sequence[str] | None = None) -> RawFrame:
         """What is on the road now: everybody, or the vehicles named."""
