@@ -150,10 +150,10 @@ class SumoSimulator:
             raise InputError(f"seed: expected 0 to {MAX_SEED}, found {seed}")
         self._seed, self._time_s = seed, 0.0
         self._routes = []
-        self._begin_anew()
+        worker = self._begin_anew()
         answer = self._inquire((*self._options, "--seed", str(seed)))
         if isinstance(answer, Refused):
-            reason = self._worker.complaint() or f"Error: {one_line(answer.reason)}"
+            reason = worker.complaint() or f"Error: {one_line(answer.reason)}"
             self.close()
             raise InputError(f"{self.scenario.config_path}: SUMO refuses it: {reason}")
         assert isinstance(answer, Started)
@@ -266,7 +266,7 @@ class SumoSimulator:
         finally:
             self._workers.close()
 
-    def _begin_anew(self) -> None:
+    def _begin_anew(self) -> SumoWorker:
         """Another worker in place of the last one, which leaves while the new one comes.
 
         It has left before the new one opens a file: both may write the same.
@@ -275,13 +275,14 @@ class SumoSimulator:
         if last is not None:
             last.dismiss()
         try:
-            self._worker = SumoWorker(self._workers)
+            worker = self._worker = SumoWorker(self._workers)
         except WorkerDiedError as error:
             raise self._stopped(str(error)) from None
         finally:
             if last is not None:
                 with self._closed_if_interrupted():
                     last.await_end()
+        return worker
 
     def _end(self) -> None:
         worker, self._worker = self._worker, None
