@@ -25,7 +25,7 @@ PAINTS: Final[dict[str, Colour]] = {
     "blue": (26, 76, 190),
     "light blue": (112, 198, 246),
     "purple": (166, 84, 196),
-    "green": (30, 158, 92),
+    "green": (28, 152, 68),
     "yellow": (250, 222, 36),
     "orange": (246, 134, 14),
     "brown": (96, 58, 28),

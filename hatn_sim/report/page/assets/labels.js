@@ -3,7 +3,7 @@
 
 const LABEL_PX = 20, DOT_PX = 7;
 const SIDES = [[1, -1], [1, 1], [-1, -1], [-1, 1], [1, 0], [-1, 0], [0, -1], [0, 1]];
-const DISTANCES = [1, 1.7, 2.6, 3.8, 5.2];
+const AWAY = [1, 1.7, 2.6, 3.8, 5.2];
 const HELD = 4; // what a place gains that a label had in the picture before
 
 // Points [x, y, weight] of what is better not covered.
@@ -44,7 +44,7 @@ function overlap(a, b) {
 // The best of a few places around a point: [number of the place, box].
 function placeFor([x, y], width, away, { camera, covers, taken, dots, held }) {
   let best = null, least = Infinity;
-  DISTANCES.forEach((far, i) => SIDES.forEach(([right, down], k) => {
+  AWAY.forEach((far, i) => SIDES.forEach(([right, down], k) => {
     const number = i * SIDES.length + k;
     const middleX = x + right * (0.8 * far * away + width / 2);
     const middleY = y + down * (far * away + LABEL_PX / 2);
@@ -104,9 +104,11 @@ function drawLabels(ctx, app, view) {
     app.labels.push({ words, box, vehicle: state.vehicle });
     ctx.strokeStyle = 'rgba(20,23,26,0.85)';
     ctx.lineWidth = 1;
+    const end = [Math.min(Math.max(at[0], box[0]), box[2]), Math.min(Math.max(at[1], box[1]), box[3])];
+    const bare = app.camera.scale / Math.max(Math.hypot(end[0] - at[0], end[1] - at[1]), 1); // 1 m
     ctx.beginPath();
-    ctx.moveTo(...at);
-    ctx.lineTo(Math.min(Math.max(at[0], box[0]), box[2]), Math.min(Math.max(at[1], box[1]), box[3]));
+    ctx.moveTo(at[0] + bare * (end[0] - at[0]), at[1] + bare * (end[1] - at[1]));
+    ctx.lineTo(...end);
     ctx.stroke();
     ctx.fillStyle = back;
     ctx.beginPath();
