@@ -26,7 +26,7 @@ from hatn_sim.report.case_map import MapView, draw_map, open_view
 from hatn_sim.report.cases import Case
 from hatn_sim.report.figures import save_figure
 from hatn_sim.report.moment import Moment, read_moments
-from hatn_sim.report.picture import camera
+from hatn_sim.report.picture import UNFINISHED, camera
 
 WIDTH_IN: Final = 7.2
 """As wide as the text of a page in two columns, so that sizes in points are those in print."""
@@ -134,6 +134,8 @@ def _draw_header(
     if case.kind.name == "transfer":
         known = "never trained on this scene" if run.trained_on else "training scenes not known"
         facts.append(known)
+    if not run.finished:
+        facts.append(UNFINISHED)
     x = MARGIN_IN
     page.text(
         x,
