@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.canvas import INK, PAPER, SOFT_INK, plain
-from hatn_sim.report.case_cast import Part, cast_of, panel_words, story_words
+from hatn_sim.report.case_cast import BEYOND, BEYOND_WORDS, Part, cast_of, panel_words, story_words
 from hatn_sim.report.case_graph import draw_graph
 from hatn_sim.report.case_legend import draw_legend
 from hatn_sim.report.case_map import MapView, draw_map, open_view
@@ -75,7 +75,9 @@ def draw_case(case: Case, paths: Sequence[Path]) -> None:
         left = MARGIN_IN + (k % columns) * (panel_in + GAP_IN)
         top = height_in - HEADER_IN - (k // columns) * row_in
         _draw_panel(page, case, k, (left, top), map_in, moment, view, cast)
-    draw_legend(page, (MARGIN_IN, WIDTH_IN - MARGIN_IN), FOOTER_IN, views[0].points_per_m)
+    is_beyond = any(panel_words(case, cast, at).happened.endswith(BEYOND) for at in case.frames)
+    ends_in, note = (MARGIN_IN, WIDTH_IN - MARGIN_IN), BEYOND_WORDS if is_beyond else ""
+    draw_legend(page, ends_in, FOOTER_IN, views[0].points_per_m, note)
     save_figure(figure, paths, facecolor=PAPER)
 
 
