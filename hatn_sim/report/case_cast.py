@@ -29,7 +29,7 @@ COLOURS: Final = (
 
 BEYOND: Final = "*"
 """Marks what happened later than scores look ahead."""
-BEYOND_WORDS: Final = f"{BEYOND} not scored: nobody went, or followed, as soon as scores ask for"
+BEYOND_WORDS: Final = f"{BEYOND} not scored: later than scores look ahead"
 NAMED: Final = 3
 """So many vehicles are named at once, the others are counted."""
 
@@ -172,7 +172,7 @@ def _in_the_end(case: Case, cast: Mapping[str, Part], row: int, said: str) -> Wo
         seconds = NEXT_FRAMES * DT_S
         return Words(said, f"Nobody was seen to cross within {seconds:.0f} s.", False)
     verdict = "Wrong" if is_wrong else "Right"
-    later = f"{(at - frame) * DT_S:.1f} s later"
+    later = f"{(at - frame) * DT_S:.1f}\u00a0s later"
     return Words(said, f"{verdict} in the end: {did}, {later}.{BEYOND}", is_wrong)
 
 

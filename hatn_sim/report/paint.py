@@ -19,7 +19,7 @@ Colour = tuple[int, int, int]
 PAINTS: Final[dict[str, Colour]] = {
     "white": (246, 246, 243),
     "silver": (188, 193, 199),
-    "grey": (124, 126, 129),
+    "grey": (126, 126, 127),
     "black": (24, 25, 28),
     "red": (226, 44, 36),
     "blue": (26, 76, 190),
