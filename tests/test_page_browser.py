@@ -19,10 +19,11 @@ from page_runs import (
     made_up_run,
 )
 
-from hatn_sim.datatypes import DT_S
+from hatn_sim.datatypes import DT_S, Score
 from hatn_sim.log import read_run
 from hatn_sim.log.schema import ALERTS_FILE
 from hatn_sim.report.page.page import write_page
+from hatn_sim.report.table import write_scores
 
 pytestmark = pytest.mark.browser
 ARGUMENTS = (
@@ -354,6 +355,34 @@ def test_labels_lie_on_nothing_that_is_told(browser: Any, run_folder: Path) -> N
                 assert outside_of_all(place, [[left, top, right, bottom]])
         named = next(label for label in now["labels"] if label["id"] == "northbound")
         assert named["words"] == "red car: pass before 80 %"
+
+
+def test_scores_are_not_cut_and_the_timeline_has_a_key(browser: Any, tmp_path: Path) -> None:
+    folder = made_up_run(tmp_path / "run")
+    measures = ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "goal_error", "fallback_share")
+    rows = [
+        Score(measure, name, "crossing", "all", "none", 12.345, "m", 12345, 11.111, 13.333, 9.999)
+        for name in ("constant_velocity", "constant_turn_rate", "hatn+route")
+        for measure in measures
+    ]
+    write_scores(folder, rows)
+    write_page(read_run(folder), folder, (20, "eastbound"))
+    metrics = {"width": 1400, "height": 950, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        opened(browser, folder)
+        inner, outer, cells = browser.execute_script(
+            "const wide = [...document.querySelectorAll('.tables .wide')];"
+            "return [wide.map((one) => one.scrollWidth), wide.map((one) => one.clientWidth),"
+            " wide.map((one) => one.querySelectorAll('tbody tr:first-child td').length)]"
+        )
+        assert cells == [2 + len(measures)] and inner == outer
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    key = browser.find_element("css selector", ".timeline-key")
+    items = [" ".join(one.text.split()) for one in key.find_elements("css selector", ".item")]
+    assert items[:3] == ["yield", "pass", "watch, no advice"]
+    assert items[3:] == ["\u25ac alert", "\u2715 T1 collision", "\u25cb T3 close pass"]
 
 
 def test_a_jump_sets_up_the_camera_and_a_hand_keeps_it(browser: Any, run_folder: Path) -> None:

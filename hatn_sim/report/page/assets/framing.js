@@ -88,8 +88,10 @@ function frameEgo(app, view, covers) {
   const size = ([left, top, right, bottom]) => (right - left) * (bottom - top);
   for (const [points, least] of [[whole, FULL_SCALE], [core, FAR_SCALE], [cornersOf(app, view.ego), 0]]) {
     const fits = rectangles.map((one) => [scaleFor(points, one), size(one), one]);
-    fits.sort((a, b) => b[0] - a[0] || b[1] - a[1]);
-    const [scale, , rectangle] = fits[0];
+    const best = Math.max(...fits.map((fit) => fit[0]));
+    // The largest of those that show nearly as much: what is around is seen on all sides.
+    const near = fits.filter((fit) => fit[0] >= 0.85 * best);
+    const [scale, , rectangle] = near.reduce((a, b) => (b[1] > a[1] ? b : a));
     if (scale < least) continue;
     lookInto(camera, points, rectangle, scale);
     return;

@@ -102,7 +102,7 @@ function drawLabels(ctx, app, view) {
     around.taken.push(box);
     app.labelPlaces.set(key, number);
     app.labels.push({ words, box, vehicle: state.vehicle });
-    ctx.strokeStyle = 'rgba(20,23,26,0.85)';
+    ctx.strokeStyle = app.look.leader;
     ctx.lineWidth = 1;
     const end = [Math.min(Math.max(at[0], box[0]), box[2]), Math.min(Math.max(at[1], box[1]), box[3])];
     const bare = app.camera.scale / Math.max(Math.hypot(end[0] - at[0], end[1] - at[1]), 1); // 1 m
