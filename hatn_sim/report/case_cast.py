@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.datatypes import DT_S, FloatArray, IntArray
-from hatn_sim.labels import NEXT_FRAMES, crossing_frame
+from hatn_sim.labels import FOLLOW_FRAMES, NEXT_FRAMES, crossing_frame
 from hatn_sim.report.cases import Case
 from hatn_sim.report.moment import Moment
 
@@ -29,7 +29,10 @@ COLOURS: Final = (
 
 BEYOND: Final = "*"
 """Marks what happened later than scores look ahead."""
-BEYOND_WORDS: Final = f"{BEYOND} not scored: later than scores look ahead"
+BEYOND_WORDS: Final = (
+    f"{BEYOND} not scored: scores look {NEXT_FRAMES * DT_S:.0f} s ahead, "
+    f"{FOLLOW_FRAMES * DT_S:.0f} s for who follows"
+)
 NAMED: Final = 3
 """So many vehicles are named at once, the others are counted."""
 
