@@ -31,8 +31,6 @@ NOWHERE = "\U000f1234"  # for private use
 def few_fonts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(letters, "OTHERS", ("no such font", LENDER))
     monkeypatch.setattr(letters, "_told", set())
-    letters._lender.cache_clear()
-    width_pt.cache_clear()
 
 
 def test_a_letter_of_another_font_is_borrowed() -> None:

@@ -30,7 +30,7 @@ _told: set[str] = set()
 
 def readable(text: str) -> str:
     """The text, with letters that no font has by their numbers, which is told once for each."""
-    lacking = sorted({one for one in text if _is_lacking(one) and _lender(one) is None})
+    lacking = sorted({one for one in text if _is_lacking(one) and lender(one, OTHERS) is None})
     if new := [one for one in lacking if one not in _told]:
         _told.update(new)
         numbers = ", ".join(_number(one) for one in new)
@@ -46,7 +46,7 @@ def readable(text: str) -> str:
 
 def families_of(text: str) -> list[str]:
     """The fonts to draw a text with: that of pictures, then those that lend letters to it."""
-    lenders = [_lender(one) for one in text if _is_lacking(one)]
+    lenders = [lender(one, OTHERS) for one in text if _is_lacking(one)]
     return list(dict.fromkeys([_own_family(), *(one for one in lenders if one is not None)]))
 
 
@@ -81,10 +81,10 @@ def _letters(path: Any) -> frozenset[str]:
 
 
 @lru_cache(maxsize=1024)
-def _lender(letter: str) -> str | None:
-    """The first of the other fonts of this system that has a letter."""
+def lender(letter: str, others: tuple[str, ...]) -> str | None:
+    """The first of these fonts that is on this system and has a letter."""
     there = {font.name for font in font_manager.fontManager.ttflist}
-    for name in OTHERS:
+    for name in others:
         if name in there and letter in _letters(font_manager.findfont(name)):
             return name
     return None
