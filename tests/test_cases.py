@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -261,6 +262,37 @@ def test_words_where_the_log_ends_too_soon(tmp_path: Path, frames: int, happened
     case = find_cases([run], ("interaction",))["interaction"]
     cast = cast_of(list(read_moments(run, case.frames, "ego")))
     assert panel_words(case, cast, 100).happened == happened
+
+
+@pytest.mark.parametrize(
+    ("said_to_yield", "happened", "is_wrong"),
+    [
+        (True, "Right in the end: A2 went first, 6.0\u00a0s later.*", False),
+        (False, "Wrong in the end: A2 went first, 6.0\u00a0s later.*", True),
+    ],
+)
+def test_what_comes_later_than_scores_look_is_told(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    said_to_yield: bool,
+    happened: str,
+    is_wrong: bool,
+) -> None:
+    """They are at (0, 0) 9 s and 7 s after the start: the other 6 s after frame 10."""
+    monkeypatch.setattr(sys.modules[__name__], "EGO", ((0.0, -45.0), (9.0, 0.0), (17.0, 60.0)))
+    late = {"late": (0.0, 7.0, 5.0), "last": (60.0, 30.0, 3.0)}
+    monkeypatch.setattr(sys.modules[__name__], "OTHERS", late)
+    monkeypatch.setattr(sys.modules[__name__], "GOES_FRAME", FRAMES if said_to_yield else 0)
+    run = write_run(tmp_path / "run")
+    choices = read_choices(run)
+    ego = run.ids.index("ego")
+    met = tuple(dict(stories(choices))[ego])
+    case = Case(KINDS["interaction"], run, choices, ego, met[:1], (10, 30), 0.0)
+    cast = cast_of(list(read_moments(run, case.frames, "ego")))
+    told = panel_words(case, cast, 10)
+    assert (told.happened, told.wrong) == (happened, is_wrong)
+    # From frame 30 on the other is there within the 5 s of the scores.
+    assert not panel_words(case, cast, 30).happened.endswith("*")
 
 
 def slot(rear_id: str) -> Slot:

@@ -11,6 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 from test_picture import FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
 
@@ -22,8 +24,11 @@ from hatn_sim.evaluation.table import AblationRow, compare
 from hatn_sim.evaluation.table import write_csv as write_entries
 from hatn_sim.learn.adaptation_rows import AdaptationRow, Change, write_csv
 from hatn_sim.log import Run
+from hatn_sim.report import calibration_figure, run_figures, space_time_figure, steps_figure
 from hatn_sim.report.adaptation_file import read_adaptation
+from hatn_sim.report.assistance_figure import events_by_scene
 from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
+from hatn_sim.report.policy_figure import spread
 from hatn_sim.report.space_time import free_spans, passing_time_s, space_time
 from hatn_sim.report.steps_figure import read_steps, write_steps
 from hatn_sim.report.table import write_scores
@@ -336,6 +341,59 @@ def test_ways_meet_at_the_conflict_when_they_did(crossing: Run) -> None:
     assert story.frames[-1] == 60
     assert [one.frame for one in story.ego.forecasts] == [0, 10, 20, 30, 40, 50, 60]
     assert story.chance[now] == pytest.approx([1.0 - SURE_OF_PASS, SURE_OF_PASS])
+
+
+def test_others_are_on_the_egos_way_only_where_they_cross_it(crossing: Run) -> None:
+    story = space_time(crossing, 10, "eastbound")
+    (other,) = story.others
+    assert story.ego.on_way.all()
+    # The other drives along x = 0 from y = -36 m at 8 m/s, the ego along y = 0.
+    y_m = START_M["northbound"] + 0.1 * SPEED_MPS * story.frames
+    np.testing.assert_array_equal(other.on_way, np.abs(y_m) <= 1.75)
+    assert 0 < other.on_way.sum() < 6
+
+
+def test_figures_name_what_is_in_them(crossing: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bands, whiskers, hollow rings, panels; read off the figures that are about to be written."""
+    drawn: list[Figure] = []
+    for module in (calibration_figure, steps_figure, space_time_figure):
+        monkeypatch.setattr(module, "save_figure", lambda figure, paths: drawn.append(figure))
+    wish = run_figures.Wish(101.0, "eastbound")
+    for name in ("calibration", "errors", "spacetime"):
+        run_figures.RUN_FIGURES[name](crossing, wish, [])
+    calibration, errors, ways = (
+        {text.get_text() for text in figure.findobj(Text)} for figure in drawn
+    )
+    assert {"95 % interval over vehicles", "fewer than 5 samples: no interval"} <= calibration
+    assert {"95 % interval of the mean", "the same, both axes logarithmic"} <= errors
+    assert {"car northbound", "likeliest prediction, once a second"} <= ways
+    assert {"on the ego's way, bumper to bumper", "the conflict is free"} <= ways
+
+
+def test_recall_is_told_with_its_events() -> None:
+    def score(scene: str, rule: str, subset: str, n: int, measure: str = "event_recall") -> Score:
+        return Score(measure, rule, scene, subset, "none", None, "share", n, None, None)
+
+    scores = [
+        *(score("a", "oracle", "all", 7), score("a", "hatn", "all", 7)),
+        *(score("a", "hatn", "courteous", 3), score("b", "hatn", "all", 0)),
+        score("c", "hatn", "all", 5, "recall_1s5"),
+    ]
+    assert events_by_scene(scores) == {"a": 7, "b": 0}
+
+
+@pytest.mark.parametrize(
+    ("values", "places"),
+    [
+        ([1.0, 5.0], [1.0, 5.0]),
+        ([5.0, 5.2], [4.6, 5.6]),  # around 5.1
+        ([5.2, 20.0, 5.0], [5.6, 20.0, 4.6]),
+        ([5.0, 5.2, 5.9], [13.1 / 3.0, 16.1 / 3.0, 19.1 / 3.0]),  # around 5.37
+        ([], []),
+    ],
+)
+def test_labels_of_marks_lie_beside_each_other(values: list[float], places: list[float]) -> None:
+    assert spread(values, 1.0) == pytest.approx(places)
 
 
 def test_who_is_not_seen_at_a_place_does_not_pass_it() -> None:

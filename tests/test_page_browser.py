@@ -19,10 +19,11 @@ from page_runs import (
     made_up_run,
 )
 
-from hatn_sim.datatypes import DT_S
+from hatn_sim.datatypes import DT_S, Score
 from hatn_sim.log import read_run
 from hatn_sim.log.schema import ALERTS_FILE
 from hatn_sim.report.page.page import write_page
+from hatn_sim.report.table import write_scores
 
 pytestmark = pytest.mark.browser
 ARGUMENTS = (
@@ -288,6 +289,111 @@ def test_speeds_of_the_ego_are_those_of_the_log(browser: Any, run_folder: Path) 
     # Said at the first frame, for 5 s.
     assert [s for s, _ in shown["advised"]] == pytest.approx([0.5 * k - 6.0 for k in range(1, 11)])
     assert {speed for _, speed in shown["advised"]} == {8.0}
+
+
+OVER_THE_MAP = """
+    const map = document.getElementById('map').getBoundingClientRect();
+    const boxes = [...document.querySelectorAll('#said, #clock, .zoom, #legend')]
+      .map((part) => part.getBoundingClientRect())
+      .map(({ left, top, right, bottom }) => [left, top, right, bottom])
+      .map((box) => box.map((at, k) => at - (k % 2 ? map.top : map.left)));
+    return [[map.width, map.height], boxes];
+"""
+
+
+def outside_of_all(point: tuple[float, float], boxes: list[list[float]]) -> bool:
+    return not any(
+        left < point[0] < right and top < point[1] < bottom for left, top, right, bottom in boxes
+    )
+
+
+@pytest.mark.parametrize("size", [(1200, 1000), (1000, 620), (390, 844)])
+def test_the_ego_those_it_is_told_of_and_their_conflict_are_seen(
+    browser: Any, run_folder: Path, size: tuple[int, int]
+) -> None:
+    """Both drive along the axes at 8 m/s and meet at (0, 0): places by hand, not by the page."""
+    before = browser.get_window_size()
+    phone = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        for seconds in (0.5, 2.0, 3.5):  # the last has an alert
+            link = f"#t={FIRST_S + seconds}&ego=eastbound"
+            now = opened(browser, run_folder, link)
+            assert now["named"] == ["northbound"]
+            east_m, north_m = -20.0 + 8.0 * seconds, -36.0 + 8.0 * seconds
+            places = [(x, 0.0) for x in (east_m - 2.0, east_m, east_m + 2.0)]
+            places += [(0.0, y) for y in (north_m - 2.0, north_m, north_m + 2.0)]
+            places += [(0.0, 0.0)] if seconds < 2.5 else []  # the ego is at the conflict after that
+            (wide, high), boxes = browser.execute_script(OVER_THE_MAP)
+            for place in places:
+                x, y = browser.execute_script("return window.hatn.pixel(...arguments)", *place)
+                assert 0.0 < x < wide and 0.0 < y < high
+                assert outside_of_all((x, y), boxes)
+                for label in now["labels"]:
+                    assert outside_of_all((x, y), [label["box"]]), label["words"]
+            assert now["scale"] >= 4.0  # a car is 16 pixels long
+            assert {"eastbound", "northbound"} <= {label["id"] for label in now["labels"]}
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.set_window_size(before["width"], before["height"])
+
+
+def test_labels_lie_on_nothing_that_is_told(browser: Any, run_folder: Path) -> None:
+    """Neither on each other, nor on what lies over the map, nor, all along, on the ego's slot."""
+    for seconds in (0.3, 1.1, 1.9):
+        now = opened(browser, run_folder, f"#t={FIRST_S + seconds}&ego=eastbound")
+        (wide, high), boxes = browser.execute_script(OVER_THE_MAP)
+        labels = [label["box"] for label in now["labels"]]
+        assert len(labels) == 2 and labels[0] != labels[1]
+        for k, (left, top, right, bottom) in enumerate(labels):
+            assert 0.0 <= left < right <= wide and 0.0 <= top < bottom <= high
+            for other in [*boxes, *labels[:k]]:
+                apart = other[2] <= left or right <= other[0] or other[3] <= top
+                assert apart or bottom <= other[1]
+            for x_m in np.arange(-20.0 + 8.0 * seconds + 2.0, 0.0, 0.5).tolist():
+                place = browser.execute_script("return window.hatn.pixel(...arguments)", x_m, 0.0)
+                assert outside_of_all(place, [[left, top, right, bottom]])
+        named = next(label for label in now["labels"] if label["id"] == "northbound")
+        assert named["words"] == "red car: pass before 80 %"
+
+
+def test_scores_are_not_cut_and_the_timeline_has_a_key(browser: Any, tmp_path: Path) -> None:
+    folder = made_up_run(tmp_path / "run")
+    measures = ("ade_3s", "fde_3s", "ade_0s3", "fde_0s3", "goal_error", "fallback_share")
+    rows = [
+        Score(measure, name, "crossing", "all", "none", 12.345, "m", 12345, 11.111, 13.333, 9.999)
+        for name in ("constant_velocity", "constant_turn_rate", "hatn+route")
+        for measure in measures
+    ]
+    write_scores(folder, rows)
+    write_page(read_run(folder), folder, (20, "eastbound"))
+    metrics = {"width": 1400, "height": 950, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        opened(browser, folder)
+        inner, outer, cells = browser.execute_script(
+            "const wide = [...document.querySelectorAll('.tables .wide')];"
+            "return [wide.map((one) => one.scrollWidth), wide.map((one) => one.clientWidth),"
+            " wide.map((one) => one.querySelectorAll('tbody tr:first-child td').length)]"
+        )
+        assert cells == [2 + len(measures)] and inner == outer
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    key = browser.find_element("css selector", ".timeline-key")
+    items = [" ".join(one.text.split()) for one in key.find_elements("css selector", ".item")]
+    assert items[:3] == ["yield", "pass", "watch, no advice"]
+    assert items[3:] == ["\u25ac alert", "\u2715 T1 collision", "\u25cb T3 close pass"]
+
+
+def test_a_jump_sets_up_the_camera_and_a_hand_keeps_it(browser: Any, run_folder: Path) -> None:
+    first = opened(browser, run_folder, f"#t={FIRST_S + 0.5}&ego=eastbound")
+    pressed(browser, "+")
+    closer = waited(browser, lambda now: now["scale"] > first["scale"])
+    pressed(browser, "\ue014")  # arrow right: no jump
+    stepped = waited(browser, lambda now: now["time_s"] > closer["time_s"])
+    assert stepped["scale"] == closer["scale"]
+    pressed(browser, "\ue00f")  # page down, to the alert
+    waited(browser, lambda now: bool(now["alerts"]) and now["scale"] < closer["scale"])
 
 
 @pytest.mark.parametrize("frames", [1, 30])

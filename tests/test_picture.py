@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import colorsys
 import gzip
 import json
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,6 +29,7 @@ from hatn_sim.datatypes import (
     Lane,
     Prediction,
     Scene,
+    Suggestion,
     Truth,
 )
 from hatn_sim.errors import InputError
@@ -37,10 +40,20 @@ from hatn_sim.perception import begin, perceive
 from hatn_sim.report.animation import around, draw_animation
 from hatn_sim.report.canvas import POSTER, open_sheet
 from hatn_sim.report.drawing import draw_moment_on
+from hatn_sim.report.drawing_warning import covered_in
 from hatn_sim.report.label_places import Label, place_labels
 from hatn_sim.report.moment import alerts_at, moment_at
-from hatn_sim.report.picture import camera, choose_moment, draw_moment
+from hatn_sim.report.paint import PAINTS, look_of, paint_of
+from hatn_sim.report.picture import (
+    camera,
+    caption,
+    choose_moment,
+    draw_moment,
+    holding,
+    told_of,
+)
 from hatn_sim.report.road_shapes import Box, road_shapes
+from hatn_sim.report.run_figures import where
 from hatn_sim.report.vehicle_shapes import outline, vehicle_parts
 from hatn_sim.road import Road
 
@@ -50,6 +63,8 @@ SPEED_MPS = 8.0
 # Both lanes run straight through (0, 0); the eastbound car gets there first.
 START_M = {"eastbound": -20.0, "northbound": -36.0}
 COLOUR = {"eastbound": (30, 200, 60), "northbound": (210, 40, 40)}
+# A fifth of that and four of the paint of green (28, 152, 68) and of red (226, 44, 36).
+PAINTED = {"eastbound": [28, 162, 66], "northbound": [223, 43, 37]}
 SURE_OF_PASS = 0.8
 
 
@@ -292,10 +307,116 @@ def test_vehicles_are_where_they_were(crossing: Run, tmp_path: Path) -> None:
         return pixels[round(row), round(column)].tolist()
 
     # The roof of a car is around a point 0.4 m behind its centre.
-    assert at(-12.4, 0.0) == list(COLOUR["eastbound"])
-    assert at(0.0, -28.4) == list(COLOUR["northbound"])
+    assert at(-12.4, 0.0) == PAINTED["eastbound"]
+    assert at(0.0, -28.4) == PAINTED["northbound"]
     verge, asphalt = at(-12.0, -12.0), at(-22.0, 0.9)
     assert min(verge) > 200 and max(asphalt) < 130
+
+
+FAR = [(-20.0, 0.0), (-150.0, 0.0), (0.0, -140.0), (30.0, 90.0)]
+
+
+@pytest.mark.parametrize("at", FAR)
+@pytest.mark.parametrize("is_warned", [False, True])
+def test_the_ego_those_it_is_told_of_and_their_conflict_are_in_the_picture(
+    crossing: Run, at: tuple[float, float], is_warned: bool
+) -> None:
+    """However far away, they are where nothing lies over the map: asked of what matplotlib drew."""
+    moment = moment_at(crossing, 10, "eastbound")
+    scene = moment.scene
+    xy_m = scene.xy_m.copy()
+    xy_m[scene.ids.index("northbound")] = at
+    said = Suggestion("eastbound", 101.0, "yield", "northbound", 0.9, 0.8, None, 5.0, True, "Yield")
+    alert = Alert("1", "onset", "CONFLICT", 1.0, "eastbound", "northbound", 0.5, "", text="Brake")
+    moment = replace(moment, scene=replace(scene, xy_m=xy_m), suggestion=said)
+    moment = replace(moment, alerts=(alert,) if is_warned else ())
+    wide, high = POSTER.map_in
+    covered = covered_in(POSTER) / high if is_warned else 0.0
+    view = camera([moment], wide / high)
+    centre, width_m = holding(*view, wide / high, told_of(moment), covered)
+    sheet = open_sheet(POSTER, [], centre, width_m)
+    artists, _ = draw_moment_on(sheet, moment, "")
+    sheet.figure.canvas.draw()
+    frame = sheet.map.get_window_extent()
+    fields = [a for a in artists if isinstance(a, Text) and "Brake" in a.get_text()]
+    assert len(fields) == is_warned
+    lies_over = [a.get_bbox_patch().get_window_extent() for a in fields]  # type: ignore[union-attr]
+    for place in (*xy_m, (0.0, 0.0)):  # the lanes cross at (0, 0)
+        x, y = sheet.map.transData.transform(place)
+        assert frame.x0 < x < frame.x1 and frame.y0 < y < frame.y1
+        assert not any(box.contains(x, y) for box in lies_over)
+    words = {a.get_text() for a in artists if isinstance(a, Text)}
+    assert "red car: pass before 80 %" in words
+
+
+def test_a_view_that_holds_all_is_kept_and_others_are_moved_no_more_than_it_takes() -> None:
+    centre, points = np.zeros(2), np.array([[-10.0, 5.0], [10.0, -5.0]])
+    kept, width_m = holding(centre, 60.0, 2.0, points)
+    assert (kept.tolist(), width_m) == ([0.0, 0.0], 60.0)
+    # 40 m and 2.5 m around it have to lie within 30 m of the centre.
+    moved, width_m = holding(centre, 60.0, 2.0, np.array([[40.0, 0.0]]))
+    assert (moved.tolist(), width_m) == ([12.5, 0.0], 60.0)
+    # 60 m and the rims are 65 m high, a view twice as wide as high 130 m; of that with a fifth of
+    # its height covered, 162.5 m.
+    tall = np.array([[0.0, 0.0], [0.0, 60.0]])
+    assert holding(centre, 60.0, 2.0, tall)[1] == pytest.approx(130.0)
+    low, width_m = holding(centre, 60.0, 2.0, tall, covered=0.2)
+    assert width_m == pytest.approx(162.5)
+    assert low[1] + 0.3 * 81.25 == pytest.approx(62.5)
+
+
+def test_pictures_of_an_unfinished_run_say_so(tmp_path: Path) -> None:
+    for is_finished in (True, False):
+        run = write_run(tmp_path / str(is_finished), frames=40, finished=is_finished)
+        for words in (caption(run, moment_at(run, 2, "eastbound")), where(run)):
+            assert ("unfinished" in words) != is_finished
+
+
+# Sight without one kind of cones: Machado, Oliveira and Fernandes, A Physiologically-based
+# Model for Simulation of Color Vision Deficiency, 2009, severity 1.
+SIGHT = {
+    "all": np.eye(3),
+    "without long": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+         [-0.003882, -0.048116, 1.051998]]
+    ),
+    "without middle": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+         [-0.011820, 0.042940, 0.968881]]
+    ),
+}  # fmt: skip
+TO_XYZ = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+
+
+def lab(colour: tuple[int, int, int], sight: str) -> np.ndarray:
+    """CIELAB of an sRGB colour."""
+    part = np.array(colour) / 255.0
+    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(SIGHT[sight] @ linear, 0.0, 1.0)
+    xyz = np.array(TO_XYZ) @ seen / [0.9505, 1.0, 1.089]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0)
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("sight", SIGHT)
+def test_paints_are_told_apart_by_the_colour_blind(sight: str) -> None:
+    for one, other in combinations(PAINTS.values(), 2):
+        assert np.linalg.norm(lab(one, sight) - lab(other, sight)) > 13.0
+
+
+@pytest.mark.parametrize(
+    ("colour", "word", "hue_deg"),
+    [((208, 176, 64), "orange", 31.0), ((90, 110, 140), "grey", None)],
+)
+def test_vehicles_look_like_the_word_they_are_called_by(
+    colour: tuple[int, int, int], word: str, hue_deg: float | None
+) -> None:
+    assert look_of(int(Kind.CAR), colour) == f"{word} car"
+    hue, saturation, _ = colorsys.rgb_to_hsv(*(part / 255.0 for part in paint_of(*colour)))
+    if hue_deg is None:
+        assert saturation < 0.1  # the colour itself: 0.36
+    else:
+        assert abs(360.0 * hue - hue_deg) < 4.0 and saturation > 0.8  # itself: 47 and 0.69
 
 
 def test_a_moment_without_slots_is_drawn(tmp_path: Path) -> None:

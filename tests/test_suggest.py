@@ -535,6 +535,10 @@ def test_room_is_kept_for_a_body_that_cuts_its_corner(length_m: float) -> None:
         ((1.0, -10.0), "from the right"),
         ((-10.0, 3.0), "behind"),
         ((-10.0, -3.0), "behind"),
+        ((-10.0, 6.0), "from behind on the left"),
+        ((-10.0, -6.0), "from behind on the right"),
+        ((-9.7, -9.3), "from behind on the right"),  # 136 degrees
+        ((-9.0, -10.0), "from the right"),
     ],
 )
 def test_sides_are_told_by_the_bearing(at: tuple[float, float], side: str) -> None:

@@ -55,7 +55,7 @@ def names(
     eighth = np.floor(bearing / (np.pi / 8)).astype(np.int64)
     if ahead is not None:
         eighth[ahead] = 0
-    colours = [_colour(*colour) for colour in scene.colour.tolist()]
+    colours = [colour_word(*colour) for colour in scene.colour.tolist()]
     of_kind: dict[int, set[str]] = {}
     for kind, colour in zip(scene.kind.tolist(), colours, strict=True):
         of_kind.setdefault(kind, set()).add(colour)
@@ -140,17 +140,17 @@ _SILENT: Final = {
     "alerted": "mind the warning",
 }
 """Reasons for silence. Colons and names come before."""
-_SIDES: Final = {
-    eighth: "behind"
-    if eighth in (-8, 7, 8)
-    else "ahead"
-    if eighth in (-1, 0)
-    else "from the left"
-    if eighth > 0
-    else "from the right"
-    for eighth in range(-8, 9)
-}
-"""Bearings of 22.5 degrees each, from behind on the right to behind on the left."""
+_SIDES: Final = dict(
+    zip(
+        range(-8, 9),
+        (
+            *("behind", "from behind on the right", *["from the right"] * 5, "ahead"),
+            *("ahead", *["from the left"] * 5, "from behind on the left", "behind", "behind"),
+        ),
+        strict=True,
+    )
+)
+"""Bearings of 22.5 degrees each, from straight behind over the right and the left to there."""
 _KINDS: Final = {int(kind): kind.name.lower() for kind in Kind}
 _COLOURS: Final = {
     "white": (240, 240, 240),
@@ -170,8 +170,8 @@ _COLOURS: Final = {
 
 
 @lru_cache(maxsize=4096)
-def _colour(red: int, green: int, blue: int) -> str:
-    """The nearest of the named colours."""
+def colour_word(red: int, green: int, blue: int) -> str:
+    """The nearest of the named colours, of parts from 0 to 255."""
 
     def distance(name: str) -> int:
         r, g, b = _COLOURS[name]

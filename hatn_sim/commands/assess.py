@@ -164,7 +164,7 @@ def _tell(arguments: argparse.Namespace, out: Path, runs: Sequence[AssessedRun])
     scores: list[Score] = compare_rules(runs, thresholds, settings)
     path = write_scores(out, scores)
     write_curves(out / CURVES_FILE, curves)
-    draw_curves(curves, [out / name for name in FIGURES])
+    draw_curves(curves, [out / name for name in FIGURES], scores)
     if not arguments.quiet and not any(s.n for s in scores if s.measure == "event_recall"):
         print(f"hatn-sim: {NO_EVENTS}: {WITHOUT}", file=sys.stderr)
     if arguments.json:

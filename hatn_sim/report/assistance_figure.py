@@ -12,6 +12,7 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
+from hatn_sim.datatypes import Score
 from hatn_sim.report.canvas import INK
 from hatn_sim.report.figures import COLOURS, dress, head_chart, new_chart, rule, save_figure
 from hatn_sim.score.sweep import Operating
@@ -30,15 +31,22 @@ LEAST_PER_HOUR: Final = 0.1
 
 
 def draw_curves(
-    curves: Mapping[str, Mapping[str, Sequence[Operating]]], paths: Sequence[Path]
+    curves: Mapping[str, Mapping[str, Sequence[Operating]]],
+    paths: Sequence[Path],
+    scores: Sequence[Score],
 ) -> None:
-    """Draw scene -> rule -> operating points into files, in the format that their suffix names."""
+    """Draw scene -> rule -> operating points into files, in the format that their suffix names.
+
+    Of how many events recall is, is told by the scores made with the curves.
+    """
+    events = events_by_scene(scores)
     figure = new_chart((WIDTH_IN, EDGES_IN + ROW_IN * len(curves)))
     grid = figure.subplots(len(curves), len(PANELS), squeeze=False)
     for row, (scene, of_rule) in zip(grid, curves.items(), strict=True):
         for axes, measure in zip(row, PANELS, strict=True):
             _panel(axes, of_rule, measure)
-        row[0].set_ylabel(scene, color=INK, weight="bold", fontsize=LABEL_PT)
+        count = f"\n{events[scene]} event{'s' * (events[scene] != 1)}" if scene in events else ""
+        row[0].set_ylabel(f"{scene}{count}", color=INK, weight="bold", fontsize=LABEL_PT)
     for axes, title in zip(grid[0], PANELS.values(), strict=True):
         axes.set_title(title, loc="left", fontsize=10.0, color=INK)
     for axes in grid[-1]:
@@ -50,6 +58,13 @@ def draw_curves(
         )
     head_chart(figure, "Alert rules at all their thresholds", 13)
     save_figure(figure, paths)
+
+
+def events_by_scene(scores: Sequence[Score]) -> dict[str, int]:
+    """Scene -> the events that recall is of, of all drivers."""
+    recall = [one for one in scores if (one.measure, one.subset) == ("event_recall", "all")]
+    scenes = dict.fromkeys(one.scene for one in recall)
+    return {scene: max(one.n for one in recall if one.scene == scene) for scene in scenes}
 
 
 def _panel(axes: Axes, of_rule: Mapping[str, Sequence[Operating]], measure: str) -> None:

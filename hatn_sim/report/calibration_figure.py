@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from hatn_sim.report.canvas import INK, SOFT_INK
@@ -29,7 +30,7 @@ from hatn_sim.report.figures import (
 )
 from hatn_sim.score.slot_calibration import ANSWERS, Reliability
 
-HEIGHT_IN: Final = 3.9
+HEIGHT_IN: Final = 4.3
 FEW: Final = 5
 """Points of fewer samples are hollow, without interval."""
 
@@ -59,10 +60,9 @@ def draw_calibration(found: Sequence[Reliability], where: str, paths: Sequence[P
         counts.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         counts.set_xlabel("said", fontsize=LABEL_PT, color=INK)
         # Below the panel: over it, it would cover points.
-        handles, labels = axes.get_legend_handles_labels()
+        handles, _ = axes.get_legend_handles_labels()
         counts.legend(
-            handles,
-            labels,
+            handles=[*handles, *(_signs() if axes is above[0] else ())],
             frameon=False,
             fontsize=NOTE_PT,
             labelcolor=INK,
@@ -74,6 +74,17 @@ def draw_calibration(found: Sequence[Reliability], where: str, paths: Sequence[P
     below[0].set_ylabel("samples", fontsize=LABEL_PT, color=INK)
     head_chart(figure, f"Calibration of slot probabilities: {where}", TITLE_PT)
     save_figure(figure, paths)
+
+
+def _signs() -> list[Line2D]:
+    """What is not a predictor in the legend."""
+    grey: dict[str, Any] = {"color": SOFT_INK, "ls": ""}
+    hollow: dict[str, Any] = {"marker": "o", "ms": 3.2, "mfc": "white", "mew": 0.7}
+    return [
+        Line2D([], [], marker="|", ms=7.0, mew=0.9, label="95 % interval over vehicles", **grey),
+        Line2D([], [], label=f"fewer than {FEW} samples: no interval", **grey, **hollow),
+        Line2D([], [], color=SOFT_INK, lw=0.8, ls="--", label="came true as often as said"),
+    ]
 
 
 def _object(answer: str, title: str) -> str:

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
 from hatn_sim.datatypes import FloatArray, Gate, Lane
+from hatn_sim.report.letters import readable
 from hatn_sim.report.road_shapes import EDGE_M, Box, RoadShapes, Surface, road_shapes
 
 PAPER: Final = "#fbfaf7"
@@ -107,8 +108,8 @@ class Sheet:
 
 
 def plain(text: str) -> str:
-    """Words as they stand: between two `$` matplotlib would read a formula."""
-    return text.replace("$", r"\$")
+    """Words as they stand: between two `$` matplotlib would read a formula; fonts lack letters."""
+    return readable(text).replace("$", r"\$")
 
 
 def open_sheet(

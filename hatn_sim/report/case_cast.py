@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.datatypes import DT_S
-from hatn_sim.labels import NEXT_FRAMES, crossing_frame
+from hatn_sim.datatypes import DT_S, FloatArray, IntArray
+from hatn_sim.labels import FOLLOW_FRAMES, NEXT_FRAMES, crossing_frame
 from hatn_sim.report.cases import Case
 from hatn_sim.report.moment import Moment
 
@@ -27,6 +27,12 @@ COLOURS: Final = (
 )
 """Of Okabe and Ito, told apart by the colour-blind; darker ones in place of their yellow."""
 
+BEYOND: Final = "*"
+"""Marks what happened later than scores look ahead."""
+BEYOND_WORDS: Final = (
+    f"{BEYOND} not scored: scores look {NEXT_FRAMES * DT_S:.0f} s ahead, "
+    f"{FOLLOW_FRAMES * DT_S:.0f} s for who follows"
+)
 NAMED: Final = 3
 """So many vehicles are named at once, the others are counted."""
 
@@ -115,7 +121,7 @@ def panel_words(case: Case, cast: Mapping[str, Part], frame: int) -> Words:
     said = f"{_does(likeliest, case, cast)} ({100.0 * chance:.0f} %)."
     said = said[0].upper() + said[1:]
     if not choices.known[row]:
-        return Words(said, _unsettled(case, row), False)
+        return _in_the_end(case, cast, row, said)
     taken = int(choices.node[row, choices.taken[row]])
     first = _goes_first(case, row) if taken == case.ego else None
     whom = "" if first is None or ids[first] not in cast else cast[ids[first]].name
@@ -136,21 +142,41 @@ def _name(vehicle: int, case: Case, cast: Mapping[str, Part]) -> str:
     return case.run.ids[vehicle] if part is None else part.name
 
 
-def _unsettled(case: Case, row: int) -> str:
-    """Why nobody can say which slot was taken at this row."""
-    choices = case.choices
+def _in_the_end(case: Case, cast: Mapping[str, Part], row: int, said: str) -> Words:
+    """What came of a row that scores leave out, as far as the log knows it.
+
+    Who went first is decided as in `labels.slot_label`, without its limits of time.
+    """
+    choices, frame = case.choices, int(case.choices.frame[row])
     met = np.flatnonzero(choices.focus[row, 1:]) + 1
-    crosses = crossing_frame(
-        case.run.trajectories,
-        np.full(len(met), case.ego),
-        np.full(len(met), choices.frame[row]),
-        choices.ego_m[row, met],
-        choices.conflict_xy_m[row, met],
-        NEXT_FRAMES,
-    )
-    if (crosses >= 0).any():
-        return "It went; nobody was seen to follow soon."
-    return f"Nobody was seen to cross within {NEXT_FRAMES * DT_S:.0f} s."
+    others = choices.node[row, met]
+
+    def crossing(vehicle: IntArray, away_m: FloatArray) -> IntArray:
+        now = np.full(len(met), frame)
+        there_xy_m, limit = choices.conflict_xy_m[row, met], case.run.frame_count
+        return crossing_frame(case.run.trajectories, vehicle, now, away_m, there_xy_m, limit)
+
+    ego_at = crossing(np.full(len(met), case.ego), choices.ego_m[row, met])
+    other_at = crossing(others, choices.other_m[row, met])
+    before = (other_at >= 0) & ((ego_at < 0) | (other_at <= ego_at))
+    after = (ego_at >= 0) & (other_at > ego_at)
+    likeliest = int(choices.likeliest[row])
+    if before.any():
+        at = int(other_at[before].min())
+        first = int(others[before][other_at[before].argmin()])
+        is_wrong, did = likeliest != case.ego, f"{_name(first, case, cast)} went first"
+    elif after.any():
+        next_ = int(np.where(after, other_at, case.run.frame_count).argmin())
+        at, passed = int(ego_at[next_]), int(others[next_])
+        is_wrong, did = likeliest != passed, f"it passed before {_name(passed, case, cast)}"
+    elif (ego_at >= 0).any():
+        return Words(said, "It went; nobody was seen to follow soon.", False)
+    else:
+        seconds = NEXT_FRAMES * DT_S
+        return Words(said, f"Nobody was seen to cross within {seconds:.0f} s.", False)
+    verdict = "Wrong" if is_wrong else "Right"
+    later = f"{(at - frame) * DT_S:.1f}\u00a0s later"
+    return Words(said, f"{verdict} in the end: {did}, {later}.{BEYOND}", is_wrong)
 
 
 def _goes_first(case: Case, row: int) -> int | None:

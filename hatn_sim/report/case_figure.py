@@ -19,14 +19,14 @@ from matplotlib.figure import Figure
 from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.canvas import INK, PAPER, SOFT_INK, plain
-from hatn_sim.report.case_cast import Part, cast_of, panel_words, story_words
+from hatn_sim.report.case_cast import BEYOND, BEYOND_WORDS, Part, cast_of, panel_words, story_words
 from hatn_sim.report.case_graph import draw_graph
 from hatn_sim.report.case_legend import draw_legend
 from hatn_sim.report.case_map import MapView, draw_map, open_view
 from hatn_sim.report.cases import Case
 from hatn_sim.report.figures import save_figure
 from hatn_sim.report.moment import Moment, read_moments
-from hatn_sim.report.picture import camera
+from hatn_sim.report.picture import UNFINISHED, camera
 
 WIDTH_IN: Final = 7.2
 """As wide as the text of a page in two columns, so that sizes in points are those in print."""
@@ -75,7 +75,9 @@ def draw_case(case: Case, paths: Sequence[Path]) -> None:
         left = MARGIN_IN + (k % columns) * (panel_in + GAP_IN)
         top = height_in - HEADER_IN - (k // columns) * row_in
         _draw_panel(page, case, k, (left, top), map_in, moment, view, cast)
-    draw_legend(page, (MARGIN_IN, WIDTH_IN - MARGIN_IN), FOOTER_IN, views[0].points_per_m)
+    is_beyond = any(panel_words(case, cast, at).happened.endswith(BEYOND) for at in case.frames)
+    ends_in, note = (MARGIN_IN, WIDTH_IN - MARGIN_IN), BEYOND_WORDS if is_beyond else ""
+    draw_legend(page, ends_in, FOOTER_IN, views[0].points_per_m, note)
     save_figure(figure, paths, facecolor=PAPER)
 
 
@@ -134,6 +136,8 @@ def _draw_header(
     if case.kind.name == "transfer":
         known = "never trained on this scene" if run.trained_on else "training scenes not known"
         facts.append(known)
+    if not run.finished:
+        facts.append(UNFINISHED)
     x = MARGIN_IN
     page.text(
         x,

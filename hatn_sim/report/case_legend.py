@@ -7,11 +7,11 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, Rectangle
-from matplotlib.textpath import TextPath
 
 from hatn_sim.report.canvas import INK
 from hatn_sim.report.case_cast import BLACK, COLOURS
 from hatn_sim.report.case_map import PALE, PALE_EDGE, shade
+from hatn_sim.report.label_width import width_pt
 
 SCALE_M: Final = 10.0
 FONT_PT: Final = 6.2
@@ -22,9 +22,13 @@ TEXT: Final[dict[str, Any]] = {"fontsize": FONT_PT, "color": INK, "va": "center"
 
 
 def draw_legend(
-    page: Axes, span_in: tuple[float, float], height_in: float, points_per_m: float
+    page: Axes,
+    span_in: tuple[float, float],
+    height_in: float,
+    points_per_m: float,
+    note: str = "",
 ) -> None:
-    """Two lines at the foot of a page in inches, and a bar as long as `SCALE_M` is."""
+    """Two lines at the foot of a page in inches, with a note, and a bar as long as `SCALE_M` is."""
     blue, upper, lower = COLOURS[1], 0.68 * height_in, 0.28 * height_in
     x = span_in[0]
     x = _car(page, x, upper, BLACK, BLACK, "ego")
@@ -47,7 +51,8 @@ def draw_legend(
     page.plot([x + 0.26], [lower], "o", ms=2.6, mfc="white", mec=INK, mew=0.55)
     x = _words(page, x + 0.28, lower, "what happened")
     page.plot([x + 0.03], [lower], "D", ms=3.4, mfc=INK, mec="white", mew=0.5)
-    _words(page, x + 0.06, lower, "conflict")
+    x = _words(page, x + 0.06, lower, "conflict")
+    _words(page, x, lower, note)
 
     right, long_in = span_in[1], SCALE_M * points_per_m / 72.0
     ends = [right - long_in, right]
@@ -67,5 +72,4 @@ def _car(page: Axes, x: float, y: float, colour: str, edge: str, words: str) -> 
 def _words(page: Axes, x: float, y: float, words: str) -> float:
     """Words after a sign; returns where the next sign begins."""
     page.text(x + GAP_IN, y, words, **TEXT)
-    wide_in = float(TextPath((0.0, 0.0), words, size=FONT_PT).get_extents().width) / 72.0
-    return x + GAP_IN + wide_in + NEXT_IN
+    return x + GAP_IN + width_pt(words, FONT_PT) / 72.0 + NEXT_IN

@@ -10,18 +10,19 @@ from matplotlib.artist import Artist
 from matplotlib.patches import FancyBboxPatch
 
 from hatn_sim.datatypes import FloatArray
-from hatn_sim.report.canvas import ALERT, INK, PROBABILITY, Sheet
+from hatn_sim.report.canvas import ALERT, INK, PROBABILITY, Sheet, quad
 from hatn_sim.report.drawing_warning import warning_xy_m
 from hatn_sim.report.label_places import Label, place_labels
 from hatn_sim.report.label_width import width_pt
 from hatn_sim.report.moment import Moment
+from hatn_sim.report.paint import look_of
 from hatn_sim.report.vehicle_shapes import placed
 
 
 def draw_labels(
     sheet: Sheet, moment: Moment, before: Mapping[str, FloatArray] | None
 ) -> tuple[list[Artist], dict[str, FloatArray]]:
-    """A pill for every slot to choose from, one that names the ego, and those that alerts name."""
+    """A pill for every slot to choose from, the ego, and those that alerts or advice name."""
     scene, style = moment.scene, sheet.style
     if moment.ego_id not in scene.ids:
         return [], {}
@@ -33,10 +34,13 @@ def draw_labels(
     for rear_id, chance in reversed(moment.choice.items()):
         colours[rear_id] = PROBABILITY(chance)
         what = "ego: yield" if rear_id == moment.ego_id else "pass before"
-        words[rear_id] = f"{what} {100.0 * chance:.0f} %"
+        words[rear_id] = f"{_called(moment, rear_id)}{what} {100.0 * chance:.0f} %"
         anchors[rear_id] = scene.xy_m[scene.ids.index(rear_id)]
-    for name in sorted((moment.alerted & set(scene.ids)) - words.keys()):
-        words[name], colours[name] = "alert", ALERT
+    alerted = moment.alerted & set(scene.ids)
+    for name in sorted((alerted | set(moment.named)) - words.keys()):
+        told = "alert" if name in alerted else ""
+        words[name] = f"{_called(moment, name)}{told}".removesuffix(": ")
+        colours[name] = ALERT if told else INK
         anchors[name] = scene.xy_m[scene.ids.index(name)]
     per_pt = 1.0 / sheet.points_per_m
     size_pt = 0.95 * style.font_pt
@@ -54,6 +58,14 @@ def draw_labels(
         offsets[key] = centre - label.anchor_xy_m
         drawn += _draw_pill(sheet, label, centre, words[key], colours[key], size_pt)
     return drawn, offsets
+
+
+def _called(moment: Moment, vehicle_id: str) -> str:
+    """By its looks, who the ego is told of; nobody else."""
+    if vehicle_id not in moment.named:
+        return ""
+    i = moment.scene.ids.index(vehicle_id)
+    return look_of(int(moment.scene.kind[i]), moment.scene.colour[i].tolist()) + ": "
 
 
 def _draw_pill(
@@ -110,7 +122,7 @@ def _obstacles(moment: Moment) -> FloatArray:
             points += [forecast.actual_xy_m] * 2
     for slot in moment.slots:
         if slot.in_focus:
-            points.append(np.repeat(slot.strip_xy_m, 3, axis=0))
+            points += [slot.strip_xy_m, quad(slot.strip_xy_m, 0.9)]
             if slot.conflict_xy_m is not None:
                 points.append(np.repeat(slot.conflict_xy_m[None], 20, axis=0))
     return np.concatenate(points)

@@ -13,6 +13,7 @@ from matplotlib.path import Path as Outline
 from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.report.canvas import ALERT, ASPHALT, INK, PROBABILITY, Sheet, columns, mixed
 from hatn_sim.report.moment import Moment
+from hatn_sim.report.paint import paint_of
 from hatn_sim.report.vehicle_shapes import (
     BODY,
     CARGO,
@@ -67,7 +68,7 @@ def draw_vehicles(sheet: Sheet, moment: Moment, blinking: bool) -> list[Artist]:
         elif scene.ids[i] in probability:
             halos.append(placed(outline(length_m, width_m, 0.34), at, yaw))
             halo_colours.append(PROBABILITY(probability[scene.ids[i]]))
-        paint = scene.colour[i] / 255.0
+        paint = np.array(paint_of(*scene.colour[i].tolist())) / 255.0
         body = tuple(mixed(paint, to_rgb(ASPHALT), 0.0 if involved else FADED))
         kind = Kind(int(scene.kind[i]))
         for part in vehicle_parts(kind, length_m, width_m):

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.artist import Artist
 
 from hatn_sim.datatypes import FloatArray
-from hatn_sim.report.canvas import ALERT, Sheet
+from hatn_sim.report.canvas import ALERT, Sheet, Style
 from hatn_sim.report.label_width import HINTED, fitting_pt, width_pt
 from hatn_sim.report.moment import Moment
 
@@ -18,6 +18,11 @@ PAD: Final = 0.55
 """Around its words, in their size; the field itself is as far from the border."""
 WEIGHT: Final = 6
 """How much labels shun it: as many points at each place."""
+
+
+def covered_in(style: Style) -> float:
+    """How far down from the map's upper border the field reaches, at most, in inches."""
+    return (1.3 + 3.0 * PAD) * SIZE * style.font_pt / 72.0
 
 
 def draw_warning(sheet: Sheet, moment: Moment) -> list[Artist]:

@@ -18,8 +18,10 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from hatn_sim.report.canvas import INK, SOFT_INK, plain
+from hatn_sim.report.letters import lend_letters
 from hatn_sim.whole_file import save_whole
 
 COLOURS: Final = (
@@ -72,6 +74,7 @@ def rule(axes: Axes) -> None:
 
 def save_figure(figure: Figure, paths: Sequence[Path], **options: Any) -> None:
     """Write a figure in the formats that the suffixes name: the same figure, the same bytes."""
+    lend_letters(figure.findobj(Text))
     if figure.get_layout_engine() is not None:
         # Once for all formats: making room again moves what has room already by a little.
         figure.draw_without_rendering()

@@ -11,6 +11,8 @@ from typing import Final
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
+from hatn_sim.report.letters import families_of
+
 HINTED: Final = 1.03
 """Letters on whole pixels are wider by so much at most."""
 
@@ -20,7 +22,7 @@ def width_pt(words: str, size_pt: float, bold: bool = False) -> float:
     """Of a line of words."""
     if not words:
         return 0.0  # matplotlib has no outline of nothing
-    font = FontProperties(weight="bold" if bold else "normal")
+    font = FontProperties(family=families_of(words), weight="bold" if bold else "normal")
     return float(TextPath((0.0, 0.0), words, size=size_pt, prop=font).get_extents().width)
 
 

@@ -100,6 +100,18 @@ class Moment:
         return next((one for one in reversed(self.alerts) if one.ego_id == self.ego_id), None)
 
     @property
+    def named(self) -> tuple[str, ...]:
+        """Whom the ego is told of, by its alerts and its advice; of those in view."""
+        warned = [
+            one.other_id if one.ego_id == self.ego_id else one.ego_id
+            for one in self.alerts
+            if self.ego_id in (one.ego_id, one.other_id)
+        ]
+        advised = [] if self.suggestion is None else [self.suggestion.slot_id]
+        told = dict.fromkeys([*warned, *advised])
+        return tuple(one for one in told if one is not None and one in self.scene.ids)
+
+    @property
     def involved(self) -> set[str]:
         """The ego and the vehicles behind the slots of its focus."""
         return {slot.rear_id for slot in self.slots if slot.in_focus} | {self.ego_id}

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hatn_sim.datatypes import FloatArray, Lane
 from hatn_sim.report.canvas import DARK_ROAD, VERGE, Sheet, Style, draw_road, open_sheet
 from hatn_sim.report.drawing import draw_moment_on
+from hatn_sim.report.letters import lend_letters
 from hatn_sim.report.moment import Moment
 from hatn_sim.report.road_shapes import Box, RoadShapes, road_shapes
 
@@ -66,6 +67,7 @@ class MovingSheet:
         canvas = sheet.agg
         np.asarray(canvas.buffer_rgba())[...] = pixels
         artists, self._labels = draw_moment_on(sheet, moment, caption, self._labels, blinking=True)
+        lend_letters(artists)
         renderer = canvas.get_renderer()
         for artist in sorted(artists, key=lambda artist: artist.get_zorder()):
             artist.draw(renderer)

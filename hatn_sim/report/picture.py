@@ -20,6 +20,10 @@ NARROW_M: Final = 62.0
 WIDE_M: Final = 88.0
 """A picture shows at least and at most this much of the map from left to right."""
 PADDING_M: Final = 9.0
+RIM_M: Final = 2.5
+"""Free around vehicles and conflicts that have to be in a picture."""
+UNFINISHED: Final = "unfinished run"
+"""Said on every picture of a run that was stopped before its end."""
 
 
 def draw_moment(run: Run, frame: int, ego_id: str, paths: Sequence[Path]) -> None:
@@ -32,12 +36,14 @@ def draw_moment(run: Run, frame: int, ego_id: str, paths: Sequence[Path]) -> Non
     """
     from hatn_sim.report.canvas import POSTER, open_sheet
     from hatn_sim.report.drawing import draw_moment_on
+    from hatn_sim.report.drawing_warning import covered_in
     from hatn_sim.report.figures import save_figure
 
     moment = moment_at(run, frame, ego_id)
     lanes = read_road(run.path / ROAD_FILE)
     wide, high = POSTER.map_in
-    centre, width_m = camera([moment], wide / high)
+    covered = covered_in(POSTER) / high if moment.warning is not None else 0.0
+    centre, width_m = holding(*camera([moment], wide / high), wide / high, told_of(moment), covered)
     sheet = open_sheet(POSTER, lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
     save_figure(sheet.figure, paths)
@@ -54,6 +60,8 @@ def caption(run: Run, moment: Moment) -> str:
         words.append(f"ego: {kind} {moment.ego_id} at {scene.speed_mps[i]:.1f} m/s")
     name = run.predictors[0] + (", lines from the simulator's routes" if run.by_route else "")
     words.append(f"predictor: {name}")
+    if not run.finished:
+        words.append(UNFINISHED)
     return "  ·  ".join(words)
 
 
@@ -85,6 +93,52 @@ def camera(
     centre = 0.5 * (low + high)
     fits = least <= most
     return np.where(fits, np.clip(centre, least, most), core.mean(axis=0)), width_m
+
+
+def told_of(moment: Moment) -> FloatArray:
+    """[P, 2] what has to be in a picture: the ego, those it is told of, and where they meet.
+
+    All conflicts of its choice where its slots know none with those it is told of.
+    """
+    scene, named = moment.scene, moment.named
+    points: list[FloatArray] = []
+    for vehicle_id in (moment.ego_id, *named):
+        if vehicle_id in scene.ids:
+            i = scene.ids.index(vehicle_id)
+            half_m = 0.5 * scene.size_m[i, 0]
+            points += [scene.xy_m[i] - half_m, scene.xy_m[i] + half_m]
+    ahead = [slot for slot in moment.slots if slot.in_focus and not slot.is_own]
+    met = [slot for slot in ahead if slot.rear_id in named] or ahead
+    points += [slot.conflict_xy_m for slot in met if slot.conflict_xy_m is not None]
+    return np.array(points).reshape(-1, 2)
+
+
+def holding(
+    centre_xy_m: FloatArray,
+    width_m: float,
+    aspect: float,
+    points_xy_m: FloatArray,
+    covered: float = 0.0,
+) -> tuple[FloatArray, float]:
+    """The view that holds all points [P, 2], moved and widened from the one given no more than
+    that takes.
+
+    Args:
+        centre_xy_m: [2] of the map shown.
+        width_m: of it.
+        aspect: its width over its height.
+        points_xy_m: to be seen, with `RIM_M` around them.
+        covered: share of its height at the upper border that something lies over.
+    """
+    if not len(points_xy_m):
+        return centre_xy_m, width_m
+    low, high = points_xy_m.min(axis=0) - RIM_M, points_xy_m.max(axis=0) + RIM_M
+    wide, tall = high - low
+    width_m = max(width_m, float(wide), float(aspect * tall / (1.0 - covered)))
+    half = 0.5 * np.array([width_m, width_m / aspect])
+    least = high - half + [0.0, covered * 2.0 * half[1]]
+    most = low + half
+    return np.minimum(np.maximum(centre_xy_m, least), most), width_m
 
 
 def _core(moment: Moment) -> list[FloatArray]:

@@ -9,6 +9,7 @@ from typing import Final
 
 from hatn_sim.errors import InputError
 from hatn_sim.log import Run
+from hatn_sim.report.picture import UNFINISHED
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ def where(run: Run) -> str:
     """What a run is of, in a few words."""
     words = str(run.header.get("title") or run.header.get("scene") or run.path.name)
     seed = run.header.get("seed")
-    return words if seed is None else f"{words}, seed {seed}"
+    words = words if seed is None else f"{words}, seed {seed}"
+    return words if run.finished else f"{words}, {UNFINISHED}"
 
 
 def _moment(run: Run, wish: Wish, paths: Sequence[Path]) -> None:
@@ -80,7 +82,7 @@ def _errors(run: Run, _: Wish, paths: Sequence[Path]) -> None:
         raise InputError(
             f"{run.path}: no moving vehicle was predicted and then seen for 3 s; make a longer run"
         )
-    draw_steps(errors, paths)
+    draw_steps(errors, paths, note="" if run.finished else UNFINISHED)
 
 
 RUN_FIGURES: Final[Mapping[str, Draw]] = {

@@ -1,7 +1,8 @@
 """The log of a run -> an ego and those it meets, each on its way to where the two meet, over time.
 
 No drawing here. Everybody's place is told along the ego's way: who is 10 m before its conflict with
-the ego lies 10 m before that conflict on the ego's way, however it gets there.
+the ego lies 10 m before that conflict on the ego's way, however it gets there. Where it is on that
+way itself is told, too.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, FloatArray, IntArray
+from hatn_sim.datatypes import DT_S, HORIZON_FRAMES, BoolArray, FloatArray, IntArray
 from hatn_sim.errors import InputError
+from hatn_sim.geometry import resample
 from hatn_sim.labels import FOLLOW_FRAMES, NEXT_FRAMES, crossing_frame
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.report.moment import main_predictions
@@ -25,6 +28,8 @@ AFTER_FRAMES: Final = 100
 REST_FRAMES: Final = 15
 """... and otherwise so long after the last of them has crossed."""
 MOST_OTHERS: Final = 6
+HALF_LANE_M: Final = 1.75
+WAY_STEP_M: Final = 0.5
 LEAST_CHANCE: Final = 0.05
 """Modes that are less probable are left out."""
 
@@ -48,6 +53,9 @@ class Strand:
     conflict_s_m: float | None  # where it meets the ego; None: it is the ego
     crosses: bool  # it came to that conflict; else it took another way, or was not seen to
     forecasts: tuple[Forecast, ...]  # one a second, the moment's among them
+    on_way: (
+        BoolArray  # [T] it is on the way that the ego takes, not only as far from their conflict
+    )
 
     def occupied_s(self, time_s: FloatArray, at_m: float) -> tuple[float, float] | None:
         """When it covers a place, from front to rear bumper; None: it does not, or not all seen."""
@@ -128,7 +136,7 @@ def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
     frames = np.arange(first, min(last, frame + AFTER_FRAMES, run.frame_count - 1) + 1)
     others = sorted(
         (
-            _strand(run, table, frames, frame, vehicle, zero_m, conflict_m, crosses)
+            _strand(run, table, frames, frame, ego, vehicle, zero_m, conflict_m, crosses)
             for vehicle, conflict_m, zero_m, crosses in meetings
         ),
         key=lambda one: one.conflict_s_m or 0.0,
@@ -137,7 +145,7 @@ def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
         run=run,
         frame=frame,
         frames=frames,
-        ego=_strand(run, table, frames, frame, ego, -origin_m, None, True),
+        ego=_strand(run, table, frames, frame, ego, ego, -origin_m, None, True),
         others=tuple(others),
         chance=_chances(choices, ego, frames, [run.ids.index(one.vehicle_id) for one in others]),
     )
@@ -187,12 +195,13 @@ def _strand(
     table: PredictionTable,
     frames: IntArray,
     moment: int,
+    ego: int,
     vehicle: int,
     zero_m: float,
     conflict_m: float | None,
     crosses: bool,
 ) -> Strand:
-    """`zero_m` of the ego's way lies where this vehicle had travelled nothing."""
+    """`zero_m` of the way of `ego` lies where this vehicle had travelled nothing."""
     tracks, trajectories = run.tracks, run.trajectories
     _, seen = trajectories.xy_at(vehicle, frames)
     s_m = np.where(seen, zero_m + trajectories.travelled_at(vehicle, frames), np.nan)
@@ -220,7 +229,19 @@ def _strand(
         conflict_s_m=conflict_m,
         crosses=crosses,
         forecasts=tuple(told),
+        on_way=_on_way(run, ego, vehicle, frames),
     )
+
+
+def _on_way(run: Run, ego: int, vehicle: int, frames: IntArray) -> BoolArray:
+    """[T] whether the middle of a vehicle is within half a lane of where the ego ever was."""
+    way_xy_m = resample(run.tracks.xy_m[run.tracks.vehicle == ego], WAY_STEP_M)
+    xy_m, seen = run.trajectories.xy_at(vehicle, frames)
+    near = np.zeros(len(frames), dtype=np.bool_)
+    if seen.any():
+        away_m, _ = KDTree(way_xy_m).query(xy_m[seen])
+        near[seen] = away_m <= HALF_LANE_M
+    return near
 
 
 def _chances(choices: Choices, ego: int, frames: IntArray, others: list[int]) -> FloatArray:

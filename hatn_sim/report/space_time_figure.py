@@ -33,7 +33,7 @@ from hatn_sim.report.figures import (
 )
 from hatn_sim.report.space_time import SpaceTime, Strand, free_spans
 
-HEIGHT_IN: Final = 5.0
+HEIGHT_IN: Final = 5.6
 DASHES: Final = ("-", (0, (6, 1.5)), (0, (4, 1, 1, 1)))
 """Told apart in grey, too."""
 ROOM_M: Final = (4.0, 14.0)
@@ -41,6 +41,8 @@ ROOM_M: Final = (4.0, 14.0)
 WAY_POINT_FRAMES: Final = 5
 ZONE_PT: Final = 5.0
 FAINT: Final = 0.45
+ELSEWHERE: Final[dict[str, Any]] = {"lw": 0.7, "alpha": 0.7}
+"""Whoever is not on the ego's way, as far from the conflict as it is on its own."""
 
 
 def draw_space_time(story: SpaceTime, where: str, paths: Sequence[Path]) -> None:
@@ -71,7 +73,7 @@ def draw_space_time(story: SpaceTime, where: str, paths: Sequence[Path]) -> None
     figure.legend(
         handles=_legend(story, looks, now_s),
         loc="outside lower left",
-        ncols=3,
+        ncols=2,
         frameon=False,
         fontsize=NOTE_PT,
         labelcolor=INK,
@@ -91,11 +93,17 @@ def _looks(story: SpaceTime) -> list[dict[str, Any]]:
 
 
 def _strand(axes: Axes, story: SpaceTime, strand: Strand, look: dict[str, Any]) -> None:
-    """What a vehicle drove, bumper to bumper, and what was predicted of it."""
+    """What a vehicle drove and what was predicted of it; its length where on the ego's way."""
     time_s, colour, half_m = story.time_s, look["color"], 0.5 * strand.length_m
     body: dict[str, Any] = {"color": colour, "linewidth": 0.0, "alpha": 0.16}
-    axes.fill_between(time_s, strand.s_m - half_m, strand.s_m + half_m, **body)
-    axes.plot(time_s, strand.s_m, **look)
+    low_m, high_m = strand.s_m - half_m, strand.s_m + half_m
+    axes.fill_between(time_s, low_m, high_m, where=strand.on_way.tolist(), **body)
+    axes.plot(time_s, np.where(strand.on_way, strand.s_m, np.nan), **look)
+    # Up to where it comes onto the ego's way and from where it leaves it, without a gap.
+    elsewhere = ~strand.on_way
+    elsewhere[1:] |= ~strand.on_way[:-1]
+    elsewhere[:-1] |= ~strand.on_way[1:]
+    axes.plot(time_s, np.where(elsewhere, strand.s_m, np.nan), **{**look, **ELSEWHERE})
     for told in strand.forecasts:
         count = told.s_m.shape[1]
         ahead_s = story.run.times_s[told.frame] + DT_S * np.arange(count)
@@ -163,17 +171,26 @@ def _legend(
     story: SpaceTime, looks: Sequence[dict[str, Any]], now_s: float
 ) -> list[Line2D | Patch]:
     run = story.run
-    names = ["ego:", *("meets" if one.crosses else "not seen to meet" for one in story.others)]
     handles: list[Line2D | Patch] = []
-    for name, strand, look in zip(names, (story.ego, *story.others), looks, strict=True):
+    for strand, look in zip((story.ego, *story.others), looks, strict=True):
         kind = Kind(int(run.kinds[run.ids.index(strand.vehicle_id)])).name.lower()
-        handles.append(Line2D([], [], label=plain(f"{name} {kind} {strand.vehicle_id}"), **look))
-    said = f"predicted by {run.predictors[0]}"
+        words = f"{kind} {strand.vehicle_id}"
+        if strand is story.ego:
+            words = f"ego: {words}"
+        elif not strand.crosses:
+            words += ", which did not come to the conflict"
+        handles.append(Line2D([], [], label=plain(words), **look))
+    said = f"predicted by {run.predictors[0]} at {now_s:.1f} s"
     dots: dict[str, Any] = {"marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.8}
+    thin: dict[str, Any] = {"color": INK, "lw": 0.6, "ls": ":", "alpha": FAINT}
     handles += [
-        Line2D([], [], color=INK, lw=0.8, ls=":", label=f"{said} at {now_s:.1f} s", **dots),
-        Line2D([], [], color=INK, lw=0.6, ls=":", alpha=FAINT, label="the likeliest, each second"),
-        Patch(color=INK, alpha=0.16, lw=0.0, label="from bumper to bumper"),
+        Line2D([], [], color=INK, lw=0.8, ls=":", label=plain(said), **dots),
+        Line2D([], [], label="likeliest prediction, once a second", **thin),
+        Patch(color=INK, alpha=0.16, lw=0.0, label="on the ego's way, bumper to bumper"),
+        Line2D([], [], color=INK, label="elsewhere: so far from the conflict", **ELSEWHERE),
         Line2D([], [], color=INK, lw=ZONE_PT, label="is at the conflict"),
     ]
+    if free_spans(story):
+        arrow: dict[str, Any] = {"color": INK, "marker": r"$\leftrightarrow$", "ms": 9.0, "ls": ""}
+        handles.append(Line2D([], [], label="the conflict is free", **arrow))
     return handles

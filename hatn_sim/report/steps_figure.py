@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.errors import InputError
@@ -25,6 +26,7 @@ WIDTH_IN: Final = 9.0
 ROW_IN: Final = 3.2
 EDGES_IN: Final = 0.9
 TIMES_S: Final = DT_S * np.arange(1, HORIZON_FRAMES + 1)
+BAND: Final = "95 % interval of the mean"
 COLUMNS: Final = (
     "scene", "predictor", "subset", "step", "time_s", "mean_m", "std_m", "low_m", "high_m", "n",
 )  # fmt: skip
@@ -62,10 +64,13 @@ def read_steps(path: Path) -> list[StepErrors]:
     ]
 
 
-def draw_steps(errors: Sequence[StepErrors], paths: Sequence[Path], subset: str = "moving") -> None:
+def draw_steps(
+    errors: Sequence[StepErrors], paths: Sequence[Path], subset: str = "moving", note: str = ""
+) -> None:
     """Draw a row for each scene: linear axes as in the paper, and logarithmic ones.
 
-    Bands are 95 % intervals. The format of a file is what its suffix names.
+    Bands are 95 % intervals. The format of a file is what its suffix names; a `note` stands behind
+    the title.
     """
     shown = [one for one in errors if one.subset == subset]
     scenes = list(dict.fromkeys(one.scene for one in shown)) or [""]
@@ -83,12 +88,19 @@ def draw_steps(errors: Sequence[StepErrors], paths: Sequence[Path], subset: str 
             _dress(axes, scale)
         n = f", n = {of_scene[0].n:,}" if of_scene else ""
         row[0].set_title(f"{scene}{n}", loc="left", fontsize=10.5, color=INK)
+        row[1].set_title("the same, both axes logarithmic", loc="left", fontsize=9.5, color=INK)
         row[0].set_ylabel("mean error, m", color=INK)
         if of_scene:
-            row[0].legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left")
+            handles, _ = row[0].get_legend_handles_labels()
+            if any(np.isfinite(one.low_m).all() for one in of_scene):
+                handles.append(Patch(color=SOFT_INK, alpha=0.3, lw=0.0, label=BAND))
+            row[0].legend(
+                handles=handles, frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left"
+            )
     for axes in grid[-1]:
         axes.set_xlabel("time predicted ahead, s", color=INK)
-    head_chart(figure, f"Error at each predicted step, {SUBSETS[subset]}", 13)
+    words = f"Error at each predicted step, {SUBSETS[subset]}"
+    head_chart(figure, f"{words}, {note}" if note else words, 13)
     save_figure(figure, paths)
 
 

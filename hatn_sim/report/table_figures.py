@@ -111,9 +111,10 @@ def _adaptation(path: Path) -> list[TableFigure]:
 
 def _curves(path: Path, paths: Sequence[Path]) -> None:
     from hatn_sim.report.assistance_figure import draw_curves
-    from hatn_sim.report.kept_numbers import read_curves
+    from hatn_sim.report.kept_numbers import read_curves, read_scores
 
-    draw_curves(read_curves(path), paths)
+    beside = path.with_name(SCORES_FILE)
+    draw_curves(read_curves(path), paths, read_scores(beside) if beside.is_file() else ())
 
 
 def _is_of_drives(path: Path) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from hatn_sim.datatypes import Alert, Kind, SafetyEvent, Score
 from hatn_sim.log import Run
 from hatn_sim.report.page.tables import score_tables
+from hatn_sim.report.paint import look_of, paint_of
 from hatn_sim.report.table import SCORES_FILE, notes
 from hatn_sim.score.close_passes import shown_passes
 from hatn_sim.score.driven import driven_in
@@ -35,7 +36,8 @@ def vehicles_of(run: Run) -> list[dict[str, Any]]:
             "kind": Kind(int(tracks.kind[row])).name.lower(),
             "length_m": round(float(tracks.size_m[row, 0]), 2),
             "width_m": round(float(tracks.size_m[row, 1]), 2),
-            "colour": tracks.colour[row].tolist(),
+            "colour": list(paint_of(*tracks.colour[row].tolist())),
+            "look": look_of(int(tracks.kind[row]), tracks.colour[row].tolist()),
             "first": int(tracks.frame[row]),
             "last": int(tracks.frame[end]),
         }

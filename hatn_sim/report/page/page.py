@@ -30,7 +30,7 @@ from hatn_sim.whole_file import save_whole
 
 PAGE_FILE: Final = "report.html"
 SCRIPTS: Final = (
-    *("inflate", "data", "map", "vehicles", "advice", "scene"),
+    *("inflate", "data", "map", "vehicles", "advice", "framing", "labels", "scene"),
     *("timeline", "chart", "panel", "moments", "tables", "input", "hook", "player"),
 )
 """Of `assets/`, in the order in which they make one script."""

@@ -30,6 +30,9 @@ function readOnlyHook(app) {
         time_s: app.timeOf(app.frame), ego: app.ego >= 0 ? head.vehicles[app.ego].id : null,
         playing: app.playing, speed: app.speed, following: app.following, drawn: app.drawn || 0,
         said: document.getElementById('said').textContent || null, alerts: (view?.alerts ?? []).map((alert) => ({ ...alert })),
+        named: (view?.named ?? []).map((vehicle) => head.vehicles[vehicle].id),
+        conflicts_xy_m: view ? conflictsOf(view).map(onMap) : [],
+        labels: app.labels.map(({ words, box, vehicle }) => ({ words, box, id: head.vehicles[vehicle].id })),
         moments: app.moments.map((moment) => ({ ...moment })), scale: app.camera.scale,
       };
     },

@@ -5,11 +5,13 @@ const LOOKS = {
     verge: '#e8eae1', kerb: '#c9cac3', shoulder: '#dcddd4', asphalt: '#62676d', path: '#d3d0c6',
     rail: '#9a9a94', paint: '#eceae4', ink: '#22262b', paper: '#fbfaf7', soft: '#6b7178',
     predicted: '#ff5a86', actual: '#ffffff', closed: '#e5484d', open: '#46a758',
+    leader: '#22262b',
   },
   dark: {
     verge: '#15191c', kerb: '#39403f', shoulder: '#1f2526', asphalt: '#3a4047', path: '#2b2e2c',
     rail: '#5b5f5e', paint: '#b9bab4', ink: '#0b0d0f', paper: '#14171a', soft: '#9aa1a8',
     predicted: '#ff6f97', actual: '#ffffff', closed: '#ff6369', open: '#4cc38a',
+    leader: '#d8d6d0',
   },
 };
 // Viridis from a little above its dark end, as in the figures: safe for the colour-blind.

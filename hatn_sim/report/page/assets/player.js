@@ -10,7 +10,7 @@ function makeApp(head) {
     lines: [], frame: 0, ego: -1, pointed: -1, playing: false, speed: 1, following: false,
     startS: head.start_s, endS: head.start_s + Math.max(head.frames - 1, 0) * head.dt_s,
     still: window.matchMedia('(prefers-reduced-motion: reduce)').matches,
-    look: LOOKS.light, egoAdvice: [], moments: [],
+    look: LOOKS.light, egoAdvice: [], moments: [], covers: [], labels: [], labelPlaces: new Map(),
   };
   app.timeOf = (frame) => head.start_s + frame * head.dt_s;
   app.frameOf = (seconds) => Math.min(Math.max((seconds - head.start_s) / head.dt_s, 0), Math.max(head.frames - 1, 0));
@@ -35,7 +35,7 @@ function start() {
   const app = makeApp(head);
   const canvas = byId('map'), ctx = canvas.getContext('2d');
   app.camera = mapCamera(canvas);
-  let dirty = true, panelAt = 0, linkAt = 0, before = 0, coming = 0, centring = -1;
+  let dirty = true, panelAt = 0, linkAt = 0, before = 0, coming = 0, opening = false, looked = '';
   const redraw = () => { dirty = true; };
 
   app.choose = (vehicle) => {
@@ -53,17 +53,12 @@ function start() {
   const jump = (seconds, vehicle) => {
     pause();
     seek(Math.round(app.frameOf(seconds)));
-    if (vehicle !== null && vehicle >= 0) {
-      app.choose(vehicle);
-      centreOn(vehicle);
-    }
+    if (vehicle !== null && vehicle >= 0) app.choose(vehicle);
+    open();
   };
-  const centreOn = (vehicle) => { centring = vehicle; redraw(); };
-  const centre = (view) => {
-    const state = view.states.get(centring);
-    if (state) app.camera.lookAt(state.x, state.y, Math.max(app.camera.scale, 7));
-    centring = -1;
-  };
+  // The camera is set up anew for the moment that is shown next.
+  const open = () => { opening = true; redraw(); };
+  const look = () => [app.camera.x, app.camera.y, app.camera.scale].join();
   const play = () => {
     if (app.frame >= head.frames - 1) app.frame = 0;
     app.playing = true;
@@ -141,7 +136,12 @@ function start() {
     const view = head.frames ? viewOf(app) : emptyView(app);
     if (!view) return; // this moment has not arrived yet
     dirty = false;
-    if (centring >= 0) centre(view);
+    if (opening) {
+      showSaid(app, view); // what lies over the map
+      app.covers = coversOf(canvas);
+      frameEgo(app, view, app.covers);
+      [opening, looked] = [false, look()];
+    }
     if (app.following && view.ego) app.camera.lookAt(view.ego.x, view.ego.y);
     drawScene(ctx, app, view);
     byId('clock').textContent = `${view.time.toFixed(1)} s`;
@@ -152,6 +152,7 @@ function start() {
       panelAt = now;
       showPanel(view);
       showSaid(app, view);
+      app.covers = coversOf(canvas);
       markMoment(view);
     } else dirty = true;
     // Browsers slow down pages that change their address often.
@@ -192,9 +193,9 @@ function start() {
   for (const [id, action] of Object.entries(actions)) byId(id).addEventListener('click', action);
   byId('scrub').addEventListener('input', (event) => { pause(); seek(Math.round(app.frameOf(Number(event.target.value)))); });
   byId('speed').addEventListener('change', (event) => setSpeed(Number(event.target.value)));
-  byId('ego').addEventListener('change', (event) => { app.choose(Number(event.target.value)); centreOn(app.ego); });
+  byId('ego').addEventListener('change', (event) => { app.choose(Number(event.target.value)); open(); });
   bindKeys({ ...actions, step, seek, jumpToMoment, nextEgo, setSpeed, app });
-  window.addEventListener('hashchange', () => { readLink(); redraw(); });
+  window.addEventListener('hashchange', () => { readLink(); open(); });
   const darkly = window.matchMedia('(prefers-color-scheme: dark)');
   setTheme(darkly.matches);
   darkly.addEventListener('change', (event) => setTheme(event.matches));
@@ -204,14 +205,15 @@ function start() {
   if (asked.frame === null) seek(head.opens_at);
   if (asked.ego === null) app.choose(asked.amiss.length ? -1 : head.opens_with);
   setSpeed(1);
-  if (app.ego >= 0) centreOn(app.ego);
+  open();
   show(performance.now()); // before the page is said to be loaded
   performance.mark('first picture');
   // A canvas of another size is empty: it is drawn before anybody sees it.
   new ResizeObserver(() => {
     const unseen = app.camera.width < 2;
     app.camera.resize();
-    if (unseen) { app.camera.fit(app.paths.bounds || boundsOf(app)); centring = app.ego; }
+    if (unseen) app.camera.fit(app.paths.bounds || boundsOf(app));
+    opening = opening || unseen || look() === looked; // nobody has moved it since
     show(performance.now());
   }).observe(canvas);
   requestAnimationFrame((now) => { before = now; tick(now); });

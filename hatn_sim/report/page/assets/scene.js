@@ -20,10 +20,11 @@ function viewOf(app) {
   if (ego) involved.set(app.ego, null);
   const time = app.timeOf(app.frame);
   const alerts = head.alerts.filter((alert) => alert.from_s <= time + 1e-6 && time < (alert.to_s ?? Infinity));
-  return {
+  const view = {
     frame, time, states, logged, ego, slots, involved, alerts,
     closed: chunk.closed[frame % head.chunk_frames] || [], advice: standingAdvice(app, frame),
   };
+  return { ...view, named: ego ? namedOf(app, view) : [] };
 }
 
 function between(state, next, part) {
@@ -80,7 +81,7 @@ function drawScaleBar(ctx, camera) {
 function emptyView(app) {
   return {
     frame: 0, time: app.startS, states: new Map(), logged: new Map(), ego: null, slots: [],
-    involved: new Map(), alerts: [], closed: [], advice: null,
+    involved: new Map(), alerts: [], closed: [], advice: null, named: [],
   };
 }
 

@@ -55,12 +55,30 @@ function standingAdvice(app, frame) {
 }
 
 const ACTION_COLOURS = { yield: '#0072b2', pass: '#009e73', abstain: '#8a8f94' };
+const ACTION_WORDS = { yield: 'yield', pass: 'pass', abstain: 'watch, no advice' };
+
+// What the colours of the row of advice mean, and the signs of those of alerts and events.
+function timelineKey(app) {
+  const made = element('p', { class: 'key timeline-key' });
+  for (const [action, words] of Object.entries(ACTION_WORDS)) {
+    const mark = element('i', { class: 'block-mark' });
+    mark.style.background = ACTION_COLOURS[action];
+    made.append(element('span', { class: 'item' }, [mark, words]));
+  }
+  const kinds = Object.keys(KINDS).filter((kind) => app.moments.some((moment) => moment.kind === kind));
+  for (const kind of kinds) {
+    made.append(element('span', { class: `item kind ${kind}` }, [
+      element('span', { textContent: KINDS[kind].glyph }), KINDS[kind].words]));
+  }
+  return made;
+}
 
 function timelineOf(app, jump) {
   const host = document.getElementById('timeline');
   const canvas = element('canvas', { tabIndex: 0, role: 'slider', 'aria-label': 'Timeline: advice of the ego, alerts, events. Arrow keys move, Page Up and Page Down jump to the moment before or after.' });
   const tip = element('div', { class: 'tip', hidden: true });
   host.append(canvas, tip);
+  host.after(timelineKey(app));
   const rows = ['advice', 'alerts', 'events'];
   const counts = Object.fromEntries(rows.map((row) => [row, app.moments.filter((moment) => moment.row === row).length]));
   const left = 76, right = 8;
