@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +104,7 @@ def part_count(folder: Path) -> int:
 
 def read_parts(
     folder: Path,
-    parts: range,
+    parts: Iterable[int],
     columns: Sequence[Column],
     ids: Mapping[str, int] | None = None,
     frames: range | None = None,
@@ -147,6 +147,18 @@ def read_parts(
         values, lengths = _concatenated(of_parts)
         rows[name] = values if lengths is None else (values, lengths)
     return rows
+
+
+def unreadable(path: Path) -> bool:
+    """Whether a part was cut off or is none; what it tells of itself stands at its end."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        pq.read_metadata(path)
+    except (OSError, pa.ArrowException):
+        return True
+    return False
 
 
 def _read_part(path: Path, names: list[str]) -> Any:
