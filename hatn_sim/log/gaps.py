@@ -54,7 +54,7 @@ class Gap:
     def __str__(self) -> str:
         if self.is_gone:
             return f"{self.file} {self.found}: {self.part.value}"
-        return f"{self.file} {self.found}"
+        return f"{self.file} {self.found}: what followed is left out"
 
 
 def find_gaps(
@@ -95,10 +95,9 @@ def _gaps_of_lines(path: Path, finished: bool) -> Iterator[Gap]:
         if part is Part.ROUTES:  # told by number: all or none
             yield Gap(name, "is cut off", part)
         elif finished:  # no kill did that, so who knows how much is lost
-            rest = f"is cut off after {len(lines)} lines: the rest is left out"
-            yield Gap(name, rest, part, is_gone=False)
+            yield Gap(name, f"is cut off after {len(lines)} lines", part, is_gone=False)
         else:
-            yield Gap(name, "ends in half a line: that is left out", part, is_gone=False)
+            yield Gap(name, "ends in half a line", part, is_gone=False)
 
 
 def _gaps_of_truth(path: Path, parts: int) -> Iterator[Gap]:

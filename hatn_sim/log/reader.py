@@ -136,7 +136,7 @@ class Run:
 
         Tables are read part by part: memory is bounded, however long the run.
         """
-        routes = self._each(schema.ROUTES_FILE, route_of)
+        routes = self._each(schema.ROUTES_FILE, route_of) if self._has_routes else []
         routes.append(None)  # found by -1
         events: dict[int, list[Event]] = {}
         for event in self.events:
@@ -169,9 +169,14 @@ class Run:
             )
             yield Frame(scene, truth, bool(index["done"][place]))
 
+    @property
+    def _has_routes(self) -> bool:
+        """Where not all has to be there, routes are read only if anything hangs on them."""
+        return self.whole or (self.by_route and Part.ROUTES not in self.parts_left_out)
+
     def _routes_of(self, part: int, rows: int, routes: int) -> list[int]:
         """The route of the first rows of a part of `tracks`, -1: none."""
-        if Part.ROUTES in self.parts_left_out:
+        if not self._has_routes:
             return [-1] * rows
         found = self._part(schema.TRUTH_FOLDER, part, schema.TRUTH)["route"]
         if len(found) < rows or found.max(initial=-1) >= routes - 1:

@@ -10,7 +10,6 @@ import numpy as np
 
 from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.log import Run
-from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.choice import choose_moment
 from hatn_sim.report.moment import Moment, moment_at
 
@@ -35,10 +34,9 @@ def draw_moment(run: Run, frame: int, ego_id: str, paths: Sequence[Path]) -> Non
     from hatn_sim.report.figures import save_figure
 
     moment = moment_at(run, frame, ego_id)
-    lanes = read_road(run.path / ROAD_FILE)
     wide, high = POSTER.map_in
     centre, width_m = camera([moment], wide / high)
-    sheet = open_sheet(POSTER, lanes, centre, width_m)
+    sheet = open_sheet(POSTER, run.lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
     save_figure(sheet.figure, paths)
 

@@ -26,7 +26,6 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, IntArray, Kind, Lane
 from hatn_sim.errors import InputError
 from hatn_sim.log import Run
-from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.whole_file import write_whole
 
 RRD_FILE: Final = "run.rrd"
@@ -56,7 +55,7 @@ def rerun_or_error() -> Any:
 def write_rrd(run: Run, path: Path) -> None:
     """Write a run, all of it at once. Raises OSError where it cannot, InputError for damage."""
     rr = rerun_or_error()
-    lanes = read_road(run.path / ROAD_FILE)
+    lanes = run.lanes
     points = [lane.xy_m for lane in lanes] or [run.tracks.xy_m]
     origin = np.floor(np.concatenate(points).mean(axis=0))
 

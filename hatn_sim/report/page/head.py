@@ -112,6 +112,11 @@ def events_of(run: Run) -> list[dict[str, Any]]:
     ]
 
 
+def notices_of(run: Run) -> list[str]:
+    """What is said above all else: what of the run's folder is missing."""
+    return [f"{gap}." for gap in run.gaps]
+
+
 def settings_of(run: Run) -> list[list[str]]:
     """What the run was made of, as names and words."""
     header = run.header
