@@ -13,7 +13,7 @@ from hatn_sim.errors import InputError
 from hatn_sim.log import schema
 from hatn_sim.log.choice_file import CHOICE_FILE, read_run_choice
 from hatn_sim.log.lines_file import read_lines, read_text
-from hatn_sim.log.parts import unreadable
+from hatn_sim.log.parts import check_part
 from hatn_sim.log.road_file import ROAD_FILE, is_whole_road
 
 
@@ -122,10 +122,11 @@ def _gaps_of(path: Path, predictor: str, parts: int, is_main: bool) -> Iterator[
 def _gaps_of_parts(path: Path, folder: str, parts: int, part: Part) -> Iterator[Gap]:
     for number in range(parts):
         name = f"{folder}/{schema.part_name(number)}"
-        if not (path / name).is_file():
-            yield Gap(name, "is missing", part)
-        elif unreadable(path / name):
-            yield Gap(name, "is damaged", part)
+        try:
+            check_part(path / name)
+        except InputError:
+            found = "is damaged" if (path / name).is_file() else "is missing"
+            yield Gap(name, found, part)
 
 
 def _gaps_of_wholes(path: Path) -> Iterator[Gap]:

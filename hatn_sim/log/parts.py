@@ -149,16 +149,11 @@ def read_parts(
     return rows
 
 
-def unreadable(path: Path) -> bool:
-    """Whether a part was cut off or is none; what it tells of itself stands at its end."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        pq.read_metadata(path)
-    except (OSError, pa.ArrowException):
-        return True
-    return False
+def check_part(path: Path) -> None:
+    """Raises InputError where a part is missing or cut off: what it tells of itself comes last."""
+    if not path.is_file():
+        raise InputError(f"{path}: expected a part of a run's log, found none; make the run again")
+    _read_part(path, [])
 
 
 def _read_part(path: Path, names: list[str]) -> Any:

@@ -37,7 +37,7 @@ from hatn_sim.log.lines_file import (
     read_lines,
     route_of,
 )
-from hatn_sim.log.parts import padded, part_count, read_parts
+from hatn_sim.log.parts import check_part, padded, part_count, read_parts
 from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.log.tables import Event, PredictionTable, SuggestionChange, TrackTable
 
@@ -76,6 +76,11 @@ class Run:
     def by_route(self) -> bool:
         """Lines came from the simulator's routes, which no camera can see: an upper bound."""
         return self.header.get("settings", {}).get("lines") == "route"
+
+    @property
+    def signals_known(self) -> bool:
+        """False: the road has signals, and the recording does not say when they were closed."""
+        return self.header.get("settings", {}).get("signals") != "unknown"
 
     @property
     def trained_on(self) -> tuple[str, ...]:
@@ -339,16 +344,12 @@ def read_run(path: Path, *, whole: bool = True) -> Run:
     found = [schema.predictor_name(folder.name) for folder in folders]
     predictors = tuple(dict.fromkeys([*named, *found]))
     for part in map(schema.part_name, range(parts)):
-        if not (path / schema.TRACKS_FOLDER / part).is_file():
-            raise InputError(f"{path / schema.TRACKS_FOLDER / part}: is lost; make the run again")
+        check_part(path / schema.TRACKS_FOLDER / part)
     run = Run(path, header, finished, frame_count, parts, predictors)
-    return (
-        run
-        if whole
-        else replace(
-            run, gaps=find_gaps(path, parts, predictors, by_route=run.by_route, finished=finished)
-        )
-    )
+    if whole:
+        return run
+    gaps = find_gaps(path, parts, predictors, by_route=run.by_route, finished=finished)
+    return replace(run, whole=False, gaps=gaps)
 
 
 def _scene_columns(rows: Mapping[str, Any]) -> dict[str, Any]:

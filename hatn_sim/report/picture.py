@@ -52,6 +52,7 @@ def caption(run: Run, moment: Moment) -> str:
         words.append(f"ego: {kind} {moment.ego_id} at {scene.speed_mps[i]:.1f} m/s")
     name = run.predictors[0] + (", lines from the simulator's routes" if run.by_route else "")
     words.append(f"predictor: {name}")
+    words += [] if run.signals_known else ["signals unknown: all count as open"]
     return "  ·  ".join(words)
 
 

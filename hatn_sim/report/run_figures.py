@@ -26,7 +26,8 @@ def where(run: Run) -> str:
     """What a run is of, in a few words."""
     words = str(run.header.get("title") or run.header.get("scene") or run.path.name)
     seed = run.header.get("seed")
-    return words if seed is None else f"{words}, seed {seed}"
+    words = words if seed is None else f"{words}, seed {seed}"
+    return words if run.signals_known else f"{words}, signals unknown"
 
 
 def _moment(run: Run, wish: Wish, paths: Sequence[Path]) -> None:

@@ -69,6 +69,7 @@ def page(run: Run, start: tuple[int, str] | None = None) -> str:
         "command": str(run.header.get("command", "")),
         "predictor": run.predictors[0] if run.predictors else None,
         "by_route": run.by_route,
+        "signals_known": run.signals_known,
         "frames": run.frame_count,
         "chunk_frames": CHUNK_FRAMES,
         "start_s": round(float(run.times_s[0]), 3) if run.frame_count else 0.0,
