@@ -10,6 +10,7 @@ class Agent:
     """Holds a speed by commanding the acceleration that restores it within one tick."""
 
     reads_suggestions = False
+    reads_predictions = False
 
     def init(self, road: Road) -> float | None:
         return None

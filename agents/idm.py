@@ -16,6 +16,7 @@ class Agent:
     """The intelligent driver model, with accepted time gaps where lines meet."""
 
     reads_suggestions = False
+    reads_predictions = False
 
     def init(self, road: Road) -> DriverState:
         return begin_driving(road)

@@ -10,6 +10,7 @@ class Agent:
     """Never commands anything."""
 
     reads_suggestions = False
+    reads_predictions = False
 
     def init(self, road: Road) -> None:
         return None

@@ -518,7 +518,9 @@ class Agent(Protocol):
     """Decides for one vehicle; None leaves the vehicle to the simulator's own driver.
 
     An agent may have `reads_suggestions`: where that is False, it reads predictions at most, and
-    where nobody else asks for suggestions and alerts, these are not worked out.
+    where nobody else asks for suggestions and alerts, these are not worked out. Where
+    `reads_predictions` is False it decides by the scene alone and drives the same, whoever
+    predicts.
     """
 
     def init(self, road: Road) -> Any: ...

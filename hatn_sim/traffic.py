@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hatn_sim.config import Scenario
-from hatn_sim.datatypes import Simulator
+from hatn_sim.datatypes import Frame, Simulator
 from hatn_sim.errors import InputError
 from hatn_sim.resources import scenarios_dir
 
@@ -49,13 +49,21 @@ def open_traffic(scenario: Scenario, window_delay_ms: float | None = None) -> Si
     return SumoSimulator(scenario, words)
 
 
-def found_out(simulator: Simulator) -> dict[str, Any]:
-    """What recorded traffic, once its first frame is there, says of itself in `run.json`: what ids
-    name before their first colon, and doubts about its map; see `Recording`."""
+def found_out(simulator: Simulator, first: Frame | None = None) -> dict[str, Any]:
+    """What recorded traffic, once its first frame is there, says of itself in `run.json`.
+
+    That is what ids name before their first colon, and doubts about its map, see `Recording`; and
+    of the first frame, that the road has signals of which nothing is known.
+    """
     from hatn_sim.simulators.recorded import RecordedSimulator
     from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
     if not isinstance(simulator, RecordedSimulator | SumoReplay):
         return {"ids_by": ""}
     doubts = list(simulator.recording.doubts)
-    return {"ids_by": simulator.recording.ids_by} | ({"doubts": doubts} if doubts else {})
+    said: dict[str, Any] = {"ids_by": simulator.recording.ids_by}
+    said |= {"doubts": doubts} if doubts else {}
+    if first is not None and not len(first.scene.signal_closed):
+        has_signals = any(lane.signals for lane in simulator.road.lanes.values())
+        said |= {"signals": "unknown"} if has_signals else {}
+    return said

@@ -15,6 +15,8 @@ import pytest
 from conftest import heed_ctrl_c
 
 from hatn_sim.cli import main
+from hatn_sim.commands import compare
+from hatn_sim.errors import InputError
 from hatn_sim.evaluation import made_by as made_by_module
 from hatn_sim.score.closed_loop import UNITS
 
@@ -154,6 +156,35 @@ def test_mistakes_are_one_line(
     assert main(["compare", *SHORT, *FAST, *words]) == 2
     told = capsys.readouterr().err
     assert said in told and told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("agent", "reads"),
+    [
+        ("idm", False),
+        ("constant_speed", False),
+        ("sumo_driver", False),
+        ("ppo", False),
+        ("mpc", True),
+    ],
+)
+def test_rows_that_will_be_equal_are_told_before_the_drives(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    agent: str,
+    reads: bool,
+) -> None:
+    def stopped(*_: object) -> None:
+        raise InputError("the drives would begin here")
+
+    monkeypatch.setattr(compare, "_driven_rows", stopped)
+    words = ["compare", *SHORT, "--agent", agent, "--out", str(tmp_path / "out")]
+    for predictors, told in (("constant_velocity,idm", not reads), ("idm", False)):
+        assert main([*words, "--predictors", predictors]) == 2
+        said = capsys.readouterr().err.splitlines()
+        assert said[-1].endswith("the drives would begin here")
+        assert any(f"{agent} reads no predictions" in line for line in said) == told
 
 
 def test_an_agent_that_fails_is_named(

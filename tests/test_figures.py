@@ -11,28 +11,34 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+from conftest import lane
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
+from test_export import driving, log
 from test_picture import FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
 
 from hatn_sim.cli import main
-from hatn_sim.datatypes import HORIZON_FRAMES, Score
+from hatn_sim.datatypes import HORIZON_FRAMES, Gate, Score
 from hatn_sim.evaluation.comparison import write_curves
 from hatn_sim.evaluation.paper import TABLES
 from hatn_sim.evaluation.table import AblationRow, compare
 from hatn_sim.evaluation.table import write_csv as write_entries
 from hatn_sim.learn.adaptation_rows import AdaptationRow, Change, write_csv
-from hatn_sim.log import Run
+from hatn_sim.log import Run, read_run
+from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.report import calibration_figure, run_figures, space_time_figure, steps_figure
 from hatn_sim.report.adaptation_file import read_adaptation
 from hatn_sim.report.assistance_figure import events_by_scene
 from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
+from hatn_sim.report.moment import moment_at
 from hatn_sim.report.policy_figure import spread
 from hatn_sim.report.space_time import free_spans, passing_time_s, space_time
 from hatn_sim.report.steps_figure import read_steps, write_steps
 from hatn_sim.report.table import write_scores
 from hatn_sim.report.traffic_figure import speeds_over_time
+from hatn_sim.score.driven import driven_in
+from hatn_sim.score.events import severe_events
 from hatn_sim.score.prediction import score_runs
 from hatn_sim.score.slot_calibration import reliability, slot_reliability
 from hatn_sim.score.steps import StepErrors, errors_by_step
@@ -312,6 +318,81 @@ def test_vehicles_are_in_the_export_where_they_were(crossing: Run, tmp_path: Pat
         np.testing.assert_allclose(there, expected, atol=1e-4)
         sizes_m = 2.0 * np.array(row["Boxes3D:half_sizes"])[:, :2]
         np.testing.assert_allclose(sizes_m, [[4.0, 1.8]] * 2, atol=1e-5)
+
+
+def _read_back(path: Path) -> dict[str, list[dict[str, Any]]]:
+    """Rows of each entity, by Rerun's own reader."""
+    reader = pytest.importorskip("rerun.chunk").RrdReader
+    told: dict[str, list[dict[str, Any]]] = {}
+    for chunk in reader(path).stream().to_chunks():
+        told.setdefault(chunk.entity_path, []).extend(chunk.to_record_batch().to_pylist())
+    return told
+
+
+def _origin(told: dict[str, list[dict[str, Any]]]) -> np.ndarray:
+    (road,) = told["/road"]
+    return np.array([next(v[0] for k, v in road.items() if f"origin_{of}_m" in k) for of in AXES])
+
+
+@pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk (extra `viz`) is not installed")
+def test_slots_and_what_happened_are_in_the_export_as_in_the_log(
+    crossing: Run, tmp_path: Path
+) -> None:
+    words = ["export", str(crossing.path), "--format", "rrd", "--out", str(tmp_path / "x")]
+    assert main(words) == 0
+    told = _read_back(tmp_path / "x" / "run.rrd")
+    origin = _origin(told)
+    happened = {row["frame"]: row for row in told["/happened"]}
+    for frame, points_s in (
+        (10, np.arange(0.0, 3.01, 0.5)),
+        (62, np.minimum([0.0, 0.5, 1.0], 0.7)),
+    ):
+        path = np.array(happened[frame]["LineStrips3D:strips"][0])[:, :2] + origin
+        along_m = START_M["eastbound"] + SPEED_MPS * (0.1 * frame + points_s)
+        np.testing.assert_allclose(path[: len(points_s), 0], along_m, atol=1e-4)
+        np.testing.assert_allclose(path[:, 1], 0.0, atol=1e-4)
+        assert path[-1, 0] == pytest.approx(along_m[-1], abs=1e-4), "no farther than it was seen"
+    slots = {row["frame"]: row for row in told["/slots"]}
+    moment = moment_at(crossing, 10, "eastbound")
+    labels, strips = slots[10]["LineStrips3D:labels"], slots[10]["LineStrips3D:strips"]
+    for slot, said in zip(moment.slots, ("yield", "pass before northbound"), strict=True):
+        assert slot.probability is not None
+        at = labels.index(f"eastbound: {said} {100.0 * slot.probability:.0f} %")
+        ends = np.array(strips[at])[[0, -1], :2] + origin
+        np.testing.assert_allclose(ends, slot.strip_xy_m[[0, -1]], atol=1e-3)
+    table = crossing.predictions(crossing.predictors[0])
+    counted = (table.slot_mask & table.slot_in_focus)[
+        table.has_slot_probability & table.has_conflict
+    ]
+    sent = [row["LineStrips3D:labels"] or [] for row in told["/slots"]]
+    assert sum(map(len, sent)) == counted.sum() > 0
+
+
+@pytest.mark.skipif(find_spec("rerun") is None, reason="rerun-sdk (extra `viz`) is not installed")
+def test_signals_and_events_are_in_the_export(tmp_path: Path) -> None:
+    lanes = [
+        lane("in", [(-80.0, 0.0), (0.0, 0.0)], gate=Gate.SIGNAL, signals={"out": 1}),
+        lane("out", [(0.0, 0.0), (90.0, 0.0)]),
+    ]
+    frames = driving(30)
+    log(tmp_path / "run", frames)
+    write_road(tmp_path / "run" / ROAD_FILE, lanes)
+    assert main(["export", str(tmp_path / "run"), "--format", "rrd"]) == 0
+    told = _read_back(tmp_path / "run" / "rrd" / "run.rrd")
+    closed = [bool(frame.scene.signal_closed[1]) for frame in frames]
+    changes = [k for k in range(30) if not k or closed[k] != closed[k - 1]]
+    assert len(changes) > 5
+    rows = {row["frame"]: row for row in told["/signals"]}
+    assert sorted(rows) == changes
+    for frame in changes:
+        assert rows[frame]["LineStrips3D:labels"] == ["closed" if closed[frame] else "open"]
+    stop = np.array(rows[0]["LineStrips3D:strips"][0])[:, :2] + _origin(told)
+    np.testing.assert_allclose(stop[:, 0], 0.0, atol=1e-4)
+    driven = driven_in(read_run(tmp_path / "run"))
+    found = [one for one in severe_events(driven) if one.tier in ("T1", "T2")]
+    said = [text for row in told["/events"] for text in row["TextLog:text"]]
+    expected = {f"{one.tier}, {one.cause}: {one.first_id}" for one in found}
+    assert found and all(any(text.startswith(one) for text in said) for one in expected)
 
 
 # -- who goes when --------------------------------------------------------------------------------

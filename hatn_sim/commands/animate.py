@@ -72,12 +72,13 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.commands.bar import open_bar
     from hatn_sim.commands.reading import read_and_tell
     from hatn_sim.errors import HatnSimError
+    from hatn_sim.log import Part
     from hatn_sim.report.animation import draw_animation
     from hatn_sim.report.film_file import check_film_file
 
     out: Path = arguments.out or arguments.run / FILE
     check_film_file(out)
-    run = read_and_tell(arguments.run)
+    run = read_and_tell(arguments.run, set(Part) - {Part.SCORES, Part.COUNTERFACTUALS, Part.EVENTS})
     stretch = _stretch(run, arguments)
     count = len(stretch.frames)
     bar = open_bar(arguments.quiet, "{task.completed} of {task.total} frames")

@@ -6,6 +6,9 @@ and pass within 3 s of somebody else; and in it the errors of all predictors are
 loop. Then --agent drives each of these vehicles, one at a time, once with each predictor. Until it
 comes on the road each of these runs is the reference to the last bit: all differences are paired.
 
+An agent that reads no predictions, such as idm, drives the same with each of --predictors; a line
+says so, and one of them is enough to compare such an agent with `sumo_driver`.
+
 The first of --predictors is the baseline. `oracle` is told the future, by a branch of the very
 simulation in which the vehicle goes on at its speed. The row `sumo_driver` is the simulator's own
 driver, who knows what the others will do.
@@ -144,6 +147,7 @@ def main(arguments: argparse.Namespace) -> int:
     predictors = _predictors(arguments)
     out = free_or_own_folder(arguments.out, "compare")
     plans = list(_plans(arguments, predictors, out))
+    _tell_unread(arguments)
     judged = [Judged(plan.label, plan.scenario, plan.seed) for plan in plans]
     seen = said_of_seen(predictors.values(), judged)
     rows = _driven_rows(arguments, plans, out)
@@ -161,6 +165,21 @@ def main(arguments: argparse.Namespace) -> int:
     make_console().print(closed_loop_table(scores, arguments.agent, names_of))
     print(f"scores in {path}, figure in {out / FIGURES[0]}, drives in {out / RUNS_FOLDER}")
     return 0
+
+
+def _tell_unread(arguments: argparse.Namespace) -> None:
+    """Where predictors are compared by an agent that drives the same with each of them."""
+    from hatn_sim.plugins import load_agent
+
+    several = len(dict.fromkeys(arguments.predictors)) > 1
+    if arguments.quiet or not several:
+        return
+    if not getattr(load_agent(arguments.agent), "reads_predictions", True):
+        print(
+            f"hatn-sim: {arguments.agent} reads no predictions: it drives the same with each of "
+            "--predictors, so their rows are equal but for the errors of the predictions",
+            file=sys.stderr,
+        )
 
 
 def _predictors(arguments: argparse.Namespace) -> dict[str, Predictor]:

@@ -10,13 +10,14 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
+import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hatn_sim.log import Run
+    from hatn_sim.log import Part, Run
 
 EXAMPLES = """examples:
   hatn-sim export runs/intersection5-1 --format fcd
@@ -43,8 +44,10 @@ def main(arguments: argparse.Namespace) -> int:
     """Export, and say how to read it."""
     from hatn_sim.commands.reading import read_and_tell
     from hatn_sim.errors import InputError
+    from hatn_sim.log import Part
+    from hatn_sim.log.road_file import ROAD_FILE
 
-    run = read_and_tell(arguments.run)
+    run = read_and_tell(arguments.run, _wanted(arguments.format))
     out: Path = arguments.out or arguments.run / arguments.format
     if not run.frame_count:
         raise InputError(f"{arguments.run}: expected frames, found a run without any")
@@ -52,8 +55,17 @@ def main(arguments: argparse.Namespace) -> int:
         from hatn_sim.report.rerun_file import rerun_or_error
 
         rerun_or_error()
+    elif Part.ROAD in run.parts_left_out:
+        raise InputError(
+            f"{arguments.run}: expected the lanes of the run in {ROAD_FILE}, without which "
+            f"{arguments.format} cannot be read; make the run again with `hatn-sim run`"
+        )
     _make_folder(out)
-    files = _export(run, arguments.format, out)
+    try:
+        files = _export(run, arguments.format, out)
+    except BaseException:
+        shutil.rmtree(out, ignore_errors=True)  # it is ours: nothing half made stays
+        raise
     for lost in _lost(run) if arguments.format == "interaction" else ():
         print(f"hatn-sim: the INTERACTION format has no place for {lost}", file=sys.stderr)
     command = _reader(files, arguments.format)
@@ -64,6 +76,15 @@ def main(arguments: argparse.Namespace) -> int:
         print(path)
     print(f"to read them: {command}")
     return 0
+
+
+def _wanted(form: str) -> Collection[Part]:
+    """Of what a run may lack, that which goes into a format."""
+    from hatn_sim.log import Part
+
+    if form != "rrd":
+        return ()  # without its lanes there is nothing to write
+    return set(Part) - {Part.SCORES, Part.COUNTERFACTUALS}
 
 
 def _reader(files: Sequence[Path], wanted: str) -> str:
@@ -77,10 +98,9 @@ def _lost(run: Run) -> list[str]:
     """What of a run the INTERACTION format and its maps cannot say."""
     from hatn_sim.datatypes import Gate
     from hatn_sim.geometry import arc_length_m
-    from hatn_sim.log.road_file import ROAD_FILE, read_road
     from hatn_sim.recordings.lanelet2.writer import SHORTEST_M
 
-    lanes = read_road(run.path / ROAD_FILE)
+    lanes = run.lanes
     short = sum(bool(arc_length_m(lane.xy_m)[-1] < SHORTEST_M) for lane in lanes)
     found = {
         "blinkers": bool(run.tracks.blinker.any()),

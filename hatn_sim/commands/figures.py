@@ -109,12 +109,15 @@ def _jobs(
     """The names of all figures there could be, and those to be drawn."""
     from hatn_sim.commands.reading import read_and_tell
     from hatn_sim.errors import InputError
+    from hatn_sim.log import Part
     from hatn_sim.log.schema import RUN_FILE
     from hatn_sim.report.table_figures import table_figures
 
     are_runs = [(folder / RUN_FILE).is_file() for folder in folders]
     if all(are_runs):
-        every = _jobs_of_runs([read_and_tell(folder) for folder in folders], only, wish)
+        drawn = set(Part) - {Part.SCORES, Part.COUNTERFACTUALS}
+        runs = [read_and_tell(folder, drawn) for folder in folders]
+        every = _jobs_of_runs(runs, only, wish)
     elif len(folders) > 1:
         raise InputError(
             f"{folders[are_runs.index(False)]}: expected the folder of a run, found none; several "

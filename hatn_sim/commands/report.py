@@ -43,10 +43,6 @@ def main(arguments: argparse.Namespace) -> int:
 
     run = read_and_tell(arguments.run)
     out: Path = arguments.out or arguments.run
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be made: {error.strerror}; name another") from None
     paths = show(run, out, not arguments.no_animation, arguments.time, arguments.ego)
     for path in paths:
         print(path)
@@ -62,19 +58,28 @@ def show(
 ) -> list[Path]:
     """Write `report.html`, and `moment.png` and `moment.gif` where there is a moment to draw.
 
-    InputError where a time or an ego is asked for that there is not.
+    InputError where a time or an ego is asked for that there is not, or the log is damaged; what
+    cannot be drawn leaves nothing behind.
     """
     from hatn_sim.report.choice import choose_moment
-    from hatn_sim.report.page.page import write_page
+    from hatn_sim.report.page.page import PAGE_FILE, page
+    from hatn_sim.whole_file import save_whole
 
+    moment: tuple[int, str] | None = None
     try:
         moment = choose_moment(logged, time_s=time_s, ego_id=ego_id)
     except InputError as error:
         if time_s is not None or ego_id is not None:
             raise
         print(f"hatn-sim: no picture: {error}", file=sys.stderr)
-        return [write_page(logged, out)]
-    return [write_page(logged, out, moment), *draw(logged, out, moment, animate)]
+    text = page(logged, moment)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be made: {error.strerror}; name another") from None
+    drawn = draw(logged, out, moment, animate) if moment is not None else []
+    save_whole(out / PAGE_FILE, text)
+    return [out / PAGE_FILE, *drawn]
 
 
 def draw(logged: Run, out: Path, moment: tuple[int, str], animate: bool) -> list[Path]:

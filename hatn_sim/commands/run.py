@@ -205,7 +205,7 @@ def main(arguments: argparse.Namespace) -> int:
             check_recording(arguments, simulator)
             if choice is not None:
                 choose_lines_by(simulator.road, choice)
-            header["settings"] |= found_out(simulator)
+            header["settings"] |= found_out(simulator, first)
             if not arguments.quiet:
                 for notice in simulator.notices:
                     print(f"hatn-sim: {notice}", file=sys.stderr)

@@ -8,7 +8,13 @@ what really happened in the runs, with intervals over runs.
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hatn_sim.log import Run
 
 EXAMPLES = """examples:
   hatn-sim score runs/intersection5-1
@@ -27,14 +33,15 @@ def main(arguments: argparse.Namespace) -> int:
 
     from hatn_sim.commands.console import make_console
     from hatn_sim.commands.reading import read_and_tell
+    from hatn_sim.log import Part
     from hatn_sim.report.assistance_table import assistance_table
     from hatn_sim.report.table import score_table, scores_json
     from hatn_sim.score.logged import assistance_scores
     from hatn_sim.score.prediction import score_runs
     from hatn_sim.score.samples import clustered_over
 
-    runs = [read_and_tell(path) for path in arguments.runs]
-    scores, assistance = score_runs(runs), assistance_scores(runs)
+    runs = [read_and_tell(path, {Part.PREDICTIONS}) for path in arguments.runs]
+    scores, assistance = score_runs(runs), assistance_scores(_with_all_advice(runs))
     if arguments.json:
         print(scores_json([*scores, *assistance]))
         return 0
@@ -42,3 +49,20 @@ def main(arguments: argparse.Namespace) -> int:
     if assistance:
         make_console().print(assistance_table(assistance))
     return 0
+
+
+def _with_all_advice(runs: Sequence[Run]) -> list[Run]:
+    """Runs that lack nothing of what was advised and what befell; the others are told."""
+    from hatn_sim.log import Part
+
+    judged = {Part.ADVICE, Part.ALERTS, Part.EVENTS}
+    kept: list[Run] = []
+    for run in runs:
+        # Of an unfinished run nobody expects the end.
+        lacks = [gap for gap in run.gaps if gap.part in judged and (gap.is_gone or run.finished)]
+        for gap in lacks:
+            what = f"{gap.file} {gap.found}: alerts and suggestions are not scored"
+            print(f"hatn-sim: {run.path}: {what}", file=sys.stderr)
+        if not lacks:
+            kept.append(run)
+    return kept

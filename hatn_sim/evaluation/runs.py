@@ -28,7 +28,7 @@ from hatn_sim.predictors.find import READS_WEIGHTS, load_predictor
 from hatn_sim.simulators.sumo_config import named_files
 from hatn_sim.traffic import found_out, open_traffic
 
-UNCOMPARED: Final = ("command", "settings.ids_by", "settings.doubts")
+UNCOMPARED: Final = ("command", "settings.ids_by", "settings.doubts", "settings.signals")
 """What of a header may differ in a run that is used again, or is known of opened traffic alone."""
 OF_LINES: Final = tuple(
     f"settings.{name}" for name in ("tracks", "recordings", "lines_from", "choice_from")
@@ -179,7 +179,7 @@ def _make(plan: RunPlan, teller: Teller) -> Made:
         first = warm_up(simulator, first, round(plan.warm_up_s / simulator.dt_s))
         if plan.choice is not None:
             choose_lines_by(simulator.road, plan.choice)
-        settings = {**plan.header["settings"], **found_out(simulator)}
+        settings = {**plan.header["settings"], **found_out(simulator, first)}
         total = plan.frames
         with RunWriter(plan.out, {**plan.header, "settings": settings}) as writer:
             write_road(plan.out / ROAD_FILE, simulator.road.lanes.values())

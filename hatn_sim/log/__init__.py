@@ -15,6 +15,7 @@
 Tables are Parquet parts of `PART_FRAMES` frames each, so a killed run loses at most the last part.
 """
 
+from hatn_sim.log.gaps import Gap, Part
 from hatn_sim.log.reader import Run, read_run
 from hatn_sim.log.schema import PART_FRAMES, SCHEMA_VERSION
 from hatn_sim.log.tables import Event, PredictionTable, SuggestionChange, TrackTable
@@ -24,6 +25,8 @@ __all__ = [
     "PART_FRAMES",
     "SCHEMA_VERSION",
     "Event",
+    "Gap",
+    "Part",
     "PredictionTable",
     "Run",
     "RunWriter",

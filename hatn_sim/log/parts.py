@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +104,7 @@ def part_count(folder: Path) -> int:
 
 def read_parts(
     folder: Path,
-    parts: range,
+    parts: Iterable[int],
     columns: Sequence[Column],
     ids: Mapping[str, int] | None = None,
     frames: range | None = None,
@@ -147,6 +147,13 @@ def read_parts(
         values, lengths = _concatenated(of_parts)
         rows[name] = values if lengths is None else (values, lengths)
     return rows
+
+
+def check_part(path: Path) -> None:
+    """Raises InputError where a part is missing or cut off: what it tells of itself comes last."""
+    if not path.is_file():
+        raise InputError(f"{path}: expected a part of a run's log, found none; make the run again")
+    _read_part(path, [])
 
 
 def _read_part(path: Path, names: list[str]) -> Any:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,21 +19,29 @@ from hatn_sim.datatypes import (
     FloatArray,
     Frame,
     IntArray,
+    Lane,
     Route,
     Scene,
-    Suggestion,
     Truth,
 )
 from hatn_sim.errors import InputError
 from hatn_sim.labels import Trajectories, trajectories_from_rows
 from hatn_sim.log import schema
-from hatn_sim.log.parts import padded, part_count, read_parts
+from hatn_sim.log.gaps import NO_LINES, Gap, Part, find_gaps
+from hatn_sim.log.head_file import read_head
+from hatn_sim.log.lines_file import (
+    change_of,
+    each_as,
+    edge_of,
+    event_of,
+    read_lines,
+    route_of,
+)
+from hatn_sim.log.parts import check_part, padded, part_count, read_parts
+from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.log.tables import Event, PredictionTable, SuggestionChange, TrackTable
 
-HEAD = {"predictors": list, "finished": bool, "frames": int}
-"""Keys of run.json that are read, and the types of their values."""
-OPTIONAL_HEAD = {"settings": dict, "weights_sha256": dict, "trained_on": list}
-"""The same of keys that a log may lack."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +54,33 @@ class Run:
     frame_count: int
     parts: int
     predictors: tuple[str, ...]  # the main one first
+    whole: bool = True  # False: what does not count or is damaged is left out; see `read_run`
+    gaps: tuple[Gap, ...] = ()  # what is left out
+
+    @property
+    def parts_left_out(self) -> frozenset[Part]:
+        """Of what there is no more than a part."""
+        return frozenset(gap.part for gap in self.gaps)
+
+    @property
+    def has_lines(self) -> bool:
+        """The lines of vehicles can be worked out again."""
+        return not self.parts_left_out & NO_LINES
+
+    @cached_property
+    def lanes(self) -> list[Lane]:
+        """The road; nothing where it is left out."""
+        return [] if self._is_gone(ROAD_FILE) else read_road(self.path / ROAD_FILE)
 
     @property
     def by_route(self) -> bool:
         """Lines came from the simulator's routes, which no camera can see: an upper bound."""
         return self.header.get("settings", {}).get("lines") == "route"
+
+    @property
+    def signals_known(self) -> bool:
+        """False: the road has signals, and the recording does not say when they were closed."""
+        return self.header.get("settings", {}).get("signals") != "unknown"
 
     @property
     def trained_on(self) -> tuple[str, ...]:
@@ -113,7 +141,7 @@ class Run:
 
         Tables are read part by part: memory is bounded, however long the run.
         """
-        routes: list[Route | None] = [tuple(route) for route in self._lines(schema.ROUTES_FILE)]
+        routes = self._each(schema.ROUTES_FILE, route_of) if self._has_routes else []
         routes.append(None)  # found by -1
         events: dict[int, list[Event]] = {}
         for event in self.events:
@@ -126,10 +154,10 @@ class Run:
     ) -> Iterator[Frame]:
         index = self._part(schema.FRAMES_FOLDER, part, schema.FRAMES)
         rows = self._part(schema.TRACKS_FOLDER, part, schema.TRACKS)
-        route_of_row = self._part(schema.TRUTH_FOLDER, part, schema.TRUTH)["route"].tolist()
         columns, names = _scene_columns(rows), rows["id"].tolist()
         first = np.searchsorted(rows["frame"], index["frame"])
         last = np.searchsorted(rows["frame"], index["frame"], side="right")
+        route_of_row = self._routes_of(part, int(last.max(initial=0)), len(routes))
         closed, closed_counts = index["signal_closed"]
         closed_ends = np.cumsum(closed_counts)
         for place, frame in enumerate(index["frame"].tolist()):
@@ -145,6 +173,22 @@ class Run:
                 tuple(routes[route] for route in route_of_row[here]), events.get(frame, [])
             )
             yield Frame(scene, truth, bool(index["done"][place]))
+
+    @property
+    def _has_routes(self) -> bool:
+        """Where not all has to be there, routes are read only if anything hangs on them."""
+        return self.whole or (self.by_route and Part.ROUTES not in self.parts_left_out)
+
+    def _routes_of(self, part: int, rows: int, routes: int) -> list[int]:
+        """The route of the first rows of a part of `tracks`, -1: none."""
+        if not self._has_routes:
+            return [-1] * rows
+        found = self._part(schema.TRUTH_FOLDER, part, schema.TRUTH)["route"]
+        if len(found) < rows or found.max(initial=-1) >= routes - 1:
+            file = f"{self.path / schema.TRUTH_FOLDER}/{schema.part_name(part)}"
+            raise InputError(f"{file}: does not fit tracks/ and routes; make the run again")
+        of_rows: list[int] = found.tolist()
+        return of_rows
 
     def predicted(self, predictor: str, every_frames: int = 1) -> tuple[IntArray, IntArray]:
         """Which (vehicle, frame) a predictor has rows of; cheaper than its whole table."""
@@ -202,28 +246,19 @@ class Run:
 
     @cached_property
     def suggestions(self) -> tuple[SuggestionChange, ...]:
-        return tuple(
-            SuggestionChange(
-                line["frame"],
-                line["ego_id"],
-                None if line["action"] is None else _read_as(Suggestion, line),
-            )
-            for line in self._lines(schema.SUGGESTIONS_FILE)
-        )
+        changes = self._each(schema.SUGGESTIONS_FILE, change_of)
+        return tuple(change for change in changes if self._counts(change.frame))
 
     @cached_property
     def alerts(self) -> tuple[tuple[int, Alert], ...]:
         """(frame, edge of an alert) as they happened."""
-        return tuple(
-            (line["frame"], _read_as(Alert, line)) for line in self._lines(schema.ALERTS_FILE)
-        )
+        edges = self._each(schema.ALERTS_FILE, edge_of)
+        return tuple(edge for edge in edges if self._counts(edge[0]))
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        return tuple(
-            Event(line["frame"], line["time_s"], line["type"], tuple(line["ids"]))
-            for line in self._lines(schema.EVENTS_FILE)
-        )
+        events = self._each(schema.EVENTS_FILE, event_of)
+        return tuple(event for event in events if self._counts(event.frame))
 
     @cached_property
     def times_s(self) -> FloatArray:
@@ -237,7 +272,7 @@ class Run:
 
     def _part(self, folder: str, part: int, columns: tuple[schema.Column, ...]) -> dict[str, Any]:
         """One part of a table, ids as strings."""
-        return read_parts(self.path / folder, range(part, part + 1), columns)
+        return read_parts(self.path / folder, self._there(folder, [part]), columns)
 
     def _rows(
         self,
@@ -249,8 +284,12 @@ class Run:
         index = {name: number for number, name in enumerate(self.ids)}
         # A run stopped while it wrote a frame may have rows of it that do not count.
         frames = range(0, self.frame_count, every_frames)
-        wanted = range(self.parts) if parts is None else parts
+        wanted = self._there(folder, range(self.parts) if parts is None else parts)
         return read_parts(self.path / folder, wanted, columns, index, frames)
+
+    def _there(self, folder: str, parts: Iterable[int]) -> list[int]:
+        """Those parts of a table that are not left out."""
+        return [one for one in parts if not self._is_gone(f"{folder}/{schema.part_name(one)}")]
 
     @cached_property
     def counterfactuals(self) -> list[Mapping[str, Any]] | None:
@@ -259,43 +298,39 @@ class Run:
         return self._lines(name) if (self.path / name).exists() else None
 
     def _lines(self, name: str) -> list[Any]:
-        path = self.path / name
-        lines = _read_text(path).split("\n")
-        if lines.pop() and self.finished:
-            raise InputError(f"{path}: the last line is cut off; make the run again")
-        try:
-            return [json.loads(line) for line in lines]
-        except ValueError as error:
-            raise InputError(f"{path}: a line is not JSON ({error}); make the run again") from error
+        if self._is_gone(name):
+            return []
+        cut = any(gap.file == name for gap in self.gaps)
+        lines, is_cut = read_lines(self.path / name, forgive_last=cut)
+        if is_cut and self.finished and not cut:
+            raise InputError(f"{self.path / name}: the last line is cut off; make the run again")
+        return lines
+
+    def _each(self, name: str, read: Callable[[Any], T]) -> list[T]:
+        return each_as(self.path / name, self._lines(name), read)
+
+    def _counts(self, frame: int) -> bool:
+        """A kill takes frames back of which lines are on disk."""
+        return self.whole or frame < self.frame_count
+
+    def _is_gone(self, file: str) -> bool:
+        """Nothing of a file can be read, and the run is looked at without it."""
+        gone = [gap.file for gap in self.gaps if gap.is_gone]
+        return any(file == one or (one.endswith("/") and file.startswith(one)) for one in gone)
 
 
-def read_run(path: Path) -> Run:
+def read_run(path: Path, *, whole: bool = True) -> Run:
     """Open the log of a run, finished or not.
+
+    Args:
+        path: the folder of the run.
+        whole: damage is an error wherever it is met. Else what is missing or cut off and can be
+            done without is left out, and said in `Run.gaps`.
 
     Raises:
         InputError: not the folder of a run, of another schema version, or damaged.
     """
-    file = path / schema.RUN_FILE
-    if not file.is_file():
-        raise InputError(
-            f"{path}: expected the folder of a run, found no {schema.RUN_FILE} in it; "
-            "name a folder that `hatn-sim run --out` made"
-        )
-    try:
-        header = json.loads(_read_text(file))
-        version = header["schema_version"]
-        if version == schema.SCHEMA_VERSION:
-            _check_head(header)
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{file}: expected the head of a run's log, found damage ({error!r}); "
-            "make the run again"
-        ) from error
-    if version != schema.SCHEMA_VERSION:
-        raise InputError(
-            f"{file}: expected schema version {schema.SCHEMA_VERSION}, found {version}; "
-            "make the run again with this version of hatn-sim, or read it with that one"
-        )
+    header = read_head(path)
     named, finished, frames = header["predictors"], header["finished"], header["frames"]
     parts = part_count(path / schema.FRAMES_FOLDER)
     columns = (schema.Column("frame", "int32"),)
@@ -308,34 +343,13 @@ def read_run(path: Path) -> Run:
     folders = sorted((path / schema.PREDICTIONS_FOLDER).glob("*"))
     found = [schema.predictor_name(folder.name) for folder in folders]
     predictors = tuple(dict.fromkeys([*named, *found]))
-    return Run(path, header, finished, frame_count, parts, predictors)
-
-
-def _check_head(header: dict[str, Any]) -> None:
-    """Raises KeyError or TypeError where a key that is read is missing or of another type."""
-    given = HEAD | {key: kind for key, kind in OPTIONAL_HEAD.items() if key in header}
-    for key, kind in given.items():
-        if type(header[key]) is not kind:
-            raise TypeError(f"{key}: expected {kind.__name__}, found {header[key]!r}")
-    if not all(type(name) is str for name in header["predictors"]):
-        raise TypeError(f"predictors: expected names, found {header['predictors']!r}")
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); make the run again") from error
-
-
-def _read_as(kind: type, line: Mapping[str, Any]) -> Any:
-    """A line of JSON as a flat dataclass; null in a field of floats stands for "not finite"."""
-    values = {field.name: line[field.name] for field in fields(kind) if field.name in line}
-    values |= {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
-    for field in fields(kind):
-        if field.type in ("float", float) and values.get(field.name, 0.0) is None:
-            values[field.name] = math.nan
-    return kind(**values)
+    for part in map(schema.part_name, range(parts)):
+        check_part(path / schema.TRACKS_FOLDER / part)
+    run = Run(path, header, finished, frame_count, parts, predictors)
+    if whole:
+        return run
+    gaps = find_gaps(path, parts, predictors, by_route=run.by_route, finished=finished)
+    return replace(run, whole=False, gaps=gaps)
 
 
 def _scene_columns(rows: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -47,7 +48,7 @@ def read_road(path: Path) -> list[Lane]:
         content = json.loads(_expanded(path))
         found = content["format"]
         lanes = [_from_json(lane) for lane in content["lanes"]] if found == FORMAT else []
-    except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
+    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{path}: expected the lanes of a run, found a damaged file "
             f"({type(error).__name__}); make the run again"
@@ -58,6 +59,14 @@ def read_road(path: Path) -> list[Lane]:
             "version of hatn-sim"
         )
     return lanes
+
+
+def is_whole_road(path: Path) -> bool:
+    """Whether a file of lanes is there from its beginning to its end; cheaper than to read it."""
+    try:
+        return bool(_expanded(path))
+    except (OSError, EOFError, zlib.error, InputError):
+        return False
 
 
 def _expanded(path: Path) -> bytes:

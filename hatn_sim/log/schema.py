@@ -24,6 +24,7 @@ TRACKS_FOLDER = "tracks"
 FRAMES_FOLDER = "frames"
 TRUTH_FOLDER = "truth"
 PREDICTIONS_FOLDER = "predictions"
+SCORES_FILE = "scores.json"
 
 EVENTS = {
     "collision": "collisions",

@@ -42,6 +42,11 @@ class PolicyAgent:
         """Raises InputError where the weights cannot be read."""
         self.network: Network = load_network(Path(weights))
 
+    @property
+    def reads_predictions(self) -> bool:
+        """Whether it was trained to see them."""
+        return self.network.layout.sees_predictions
+
     def init(self, road: Road) -> Memory:
         """Nothing seen yet."""
         return Memory(begin_to_perceive(road))

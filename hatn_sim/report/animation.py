@@ -13,7 +13,6 @@ import numpy as np
 from hatn_sim.datatypes import DT_S, FloatArray
 from hatn_sim.errors import InputError
 from hatn_sim.log import Run
-from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.film_file import Pixels, write_gif, write_mp4
 from hatn_sim.report.moment import Moment, read_moments
 from hatn_sim.report.picture import WIDE_M, camera, caption
@@ -95,8 +94,7 @@ def _pixels(run: Run, stretch: Stretch, suffix: str) -> Iterator[Pixels]:
     style = FILM if suffix == ".gif" else SCREEN
     wide, high = style.map_in
     centres, width_m, moments = _camera(run, stretch, wide / high)
-    lanes = read_road(run.path / ROAD_FILE)
-    sheet = MovingSheet(style, lanes, centres[0], width_m, moves=stretch.follow)
+    sheet = MovingSheet(style, run.lanes, centres[0], width_m, moves=stretch.follow)
     for moment, centre in zip(moments, centres, strict=False):
         yield sheet.draw(moment, caption(run, moment), centre)
 

@@ -22,7 +22,6 @@ from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.log.choice_file import read_run_choice
-from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.perception import PerceptionState, begin, perceive
 from hatn_sim.road import LINE_STEP_M, Road
 
@@ -121,7 +120,7 @@ def read_moments(run: Run, frames: Sequence[int], ego_id: str) -> Iterator[Momen
     """The moments of an ego at these frames, which rise; none where the run has ended.
 
     Lines and graphs are worked out again from the logged scenes and lanes; probabilities and
-    predictions are the logged ones.
+    predictions are the logged ones. Where the run lacks what lines are made of, there are no slots.
 
     Raises:
         InputError: no such first frame or vehicle, no predictions, or no lanes beside the log.
@@ -132,16 +131,17 @@ def read_moments(run: Run, frames: Sequence[int], ego_id: str) -> Iterator[Momen
     if ego_id not in run.ids:
         raise InputError(f"{run.path}: no vehicle {ego_id!r} in this run; see its tracks for ids")
     table = main_predictions(run)
-    state = begin(Road(read_road(run.path / ROAD_FILE)), read_run_choice(run.path))
+    state = begin(Road(run.lanes), read_run_choice(run.path)) if run.has_lines else None
     start, wanted = max(first - WARM_UP_FRAMES, 0), set(frames)
     for frame, logged in enumerate(islice(run.frames(), start, stop), start=start):
         scene = logged.scene
-        state = perceive(state, scene, logged.truth.routes if run.by_route else None)
+        if state is not None:
+            state = perceive(state, scene, logged.truth.routes if run.by_route else None)
         if frame in wanted:
             yield Moment(
                 scene=scene,
                 ego_id=ego_id,
-                slots=_slots(run, table, state, frame, ego_id),
+                slots=() if state is None else _slots(run, table, state, frame, ego_id),
                 forecasts=_forecasts(run, table, frame),
                 suggestion=_suggestion(run, frame, ego_id),
                 alerts=alerts_at(run, frame),

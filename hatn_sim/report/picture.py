@@ -10,7 +10,6 @@ import numpy as np
 
 from hatn_sim.datatypes import FloatArray, Kind
 from hatn_sim.log import Run
-from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.report.choice import choose_moment
 from hatn_sim.report.moment import Moment, moment_at
 
@@ -40,11 +39,10 @@ def draw_moment(run: Run, frame: int, ego_id: str, paths: Sequence[Path]) -> Non
     from hatn_sim.report.figures import save_figure
 
     moment = moment_at(run, frame, ego_id)
-    lanes = read_road(run.path / ROAD_FILE)
     wide, high = POSTER.map_in
     covered = covered_in(POSTER) / high if moment.warning is not None else 0.0
     centre, width_m = holding(*camera([moment], wide / high), wide / high, told_of(moment), covered)
-    sheet = open_sheet(POSTER, lanes, centre, width_m)
+    sheet = open_sheet(POSTER, run.lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
     save_figure(sheet.figure, paths)
 
@@ -62,6 +60,7 @@ def caption(run: Run, moment: Moment) -> str:
     words.append(f"predictor: {name}")
     if not run.finished:
         words.append(UNFINISHED)
+    words += [] if run.signals_known else ["signals unknown: all count as open"]
     return "  ·  ".join(words)
 
 

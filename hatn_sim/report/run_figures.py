@@ -28,6 +28,7 @@ def where(run: Run) -> str:
     words = str(run.header.get("title") or run.header.get("scene") or run.path.name)
     seed = run.header.get("seed")
     words = words if seed is None else f"{words}, seed {seed}"
+    words = words if run.signals_known else f"{words}, signals unknown"
     return words if run.finished else f"{words}, {UNFINISHED}"
 
 

@@ -12,10 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from hatn_sim.datatypes import Score
+from hatn_sim.log.schema import SCORES_FILE
 from hatn_sim.report.plain_table import plain_table
 from hatn_sim.whole_file import save_whole
 
-SCORES_FILE = "scores.json"
 BASELINE = "constant_velocity"
 """Errors of the others are also given as a multiple of this predictor's, where it is there."""
 

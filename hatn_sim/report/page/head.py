@@ -20,6 +20,9 @@ from hatn_sim.score.events import severe_events
 
 SPEEDS_ADVISED: Final = slice(4, None, 5)
 """Of an advised profile: its speeds after 0.5 s, 1 s ..., told in steps of 0.1 m/s."""
+SIGNALS_UNKNOWN: Final = (
+    "The recording does not tell the states of its signals: all count as open, and none is drawn"
+)
 HIDDEN: Final = ("ids_by",)
 """Settings of which nobody is told."""
 
@@ -112,6 +115,12 @@ def events_of(run: Run) -> list[dict[str, Any]]:
         for event in sorted(found, key=lambda one: one.start_s)
         if event.tier in ("T1", "T2", "T3")
     ]
+
+
+def notices_of(run: Run) -> list[str]:
+    """What is said above all else: what is missing in the run's folder, or not known."""
+    said = [f"{gap}." for gap in run.gaps]
+    return said if run.signals_known else [*said, f"{SIGNALS_UNKNOWN}."]
 
 
 def settings_of(run: Run) -> list[list[str]]:

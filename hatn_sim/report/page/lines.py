@@ -10,7 +10,6 @@ import numpy as np
 from hatn_sim.datatypes import FloatArray, IntArray, ReferenceLine
 from hatn_sim.log import Run
 from hatn_sim.log.choice_file import read_run_choice
-from hatn_sim.log.road_file import ROAD_FILE, read_road
 from hatn_sim.perception import begin, perceive
 from hatn_sim.report.moment import SLOT_REACH_M
 from hatn_sim.report.page.pack import second_differences
@@ -40,7 +39,7 @@ def no_lines(rows: int) -> LinesDriven:
 
 def lines_driven(run: Run) -> LinesDriven:
     """The lines of all rows; what perception made of the scenes when the run was made."""
-    state = begin(Road(read_road(run.path / ROAD_FILE)), read_run_choice(run.path))
+    state = begin(Road(run.lanes), read_run_choice(run.path))
     numbers: dict[ReferenceLine, int] = {}
     line: list[IntArray] = [np.zeros(0, dtype=np.int64)]
     s_m: list[FloatArray] = [np.zeros(0)]

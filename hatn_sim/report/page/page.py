@@ -13,11 +13,12 @@ import numpy as np
 
 from hatn_sim.datatypes import DT_S, FloatArray
 from hatn_sim.log import Run
-from hatn_sim.log.road_file import ROAD_FILE, read_road
+from hatn_sim.log.road_file import ROAD_FILE
 from hatn_sim.report.page.head import (
     advice_of,
     alerts_of,
     events_of,
+    notices_of,
     scores_of,
     settings_of,
     vehicles_of,
@@ -57,15 +58,18 @@ def page(run: Run, start: tuple[int, str] | None = None) -> str:
     origin_m = _origin_m(run)
     has_road = (run.path / ROAD_FILE).is_file()
     rows = len(run.tracks.frame)
-    driven = lines_driven(run) if has_road and run.predictors else no_lines(rows)
-    lanes = near_lanes(read_road(run.path / ROAD_FILE), run.tracks.xy_m) if has_road else []
+    with_lines = has_road and run.has_lines and run.predictors
+    driven = lines_driven(run) if with_lines else no_lines(rows)
+    lanes = near_lanes(run.lanes, run.tracks.xy_m) if has_road else []
     frame, ego = start or (0, "")
     head: dict[str, Any] = {
         "title": str(run.header.get("title") or run.header.get("scene") or "run"),
         "finished": run.finished,
+        "notices": notices_of(run),
         "command": str(run.header.get("command", "")),
         "predictor": run.predictors[0] if run.predictors else None,
         "by_route": run.by_route,
+        "signals_known": run.signals_known,
         "frames": run.frame_count,
         "chunk_frames": CHUNK_FRAMES,
         "start_s": round(float(run.times_s[0]), 3) if run.frame_count else 0.0,

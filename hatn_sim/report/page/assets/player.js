@@ -259,6 +259,8 @@ function fillIn(app) {
     byId('unfinished').hidden = false;
     byId('unfinished').textContent = `This run was stopped before its end: ${head.frames} frames of it are here.`;
   }
+  byId('notices').hidden = !head.notices.length;
+  byId('notices').append(...head.notices.map((words) => element('div', { textContent: words })));
   Object.assign(byId('scrub'), { min: String(app.startS), max: String(app.endS), step: String(head.dt_s) });
   byId('speed').append(...SPEEDS.map((speed) => element('option', { value: String(speed), textContent: `${speed}\u00d7` })));
   byId('ego').append(element('option', { value: '-1', textContent: 'none' }),

@@ -60,7 +60,7 @@ function makeLegend(app) {
   }
   items.push(item('happened', 'what happened'), item('conflict', 'conflict'));
   if (app.head.alerts.length) items.push(item('alarm', 'alert'));
-  if (app.paths.stops.some(({ signals }) => signals.length)) {
+  if (app.head.signals_known && app.paths.stops.some(({ signals }) => signals.length)) {
     items.push(item('lamp closed', 'signal closed'), item('lamp open', 'open'));
   }
   host.replaceChildren(...items);

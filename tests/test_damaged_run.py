@@ -1,0 +1,234 @@
+"""Runs whose files are hurt: every command shows what is there, says what is not, and no more."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+import shutil
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import lane
+from page_runs import made_up_run
+from test_export import driving, log
+
+from hatn_sim.cli import main
+from hatn_sim.errors import InputError
+from hatn_sim.log import Part, read_run
+from hatn_sim.log.road_file import ROAD_FILE, write_road
+from hatn_sim.recordings.fcd.export import export_fcd
+
+PART = "part-00000.parquet"
+VITAL = {"run.json", f"tracks/{PART}", f"frames/{PART}"}
+"""Without these there is no run."""
+LOST = {
+    "suggestions.jsonl": "advice is left out",
+    "alerts.jsonl": "alerts are left out",
+    "truth/events.jsonl": "collisions, emergency braking and teleports are left out",
+    "truth/routes.jsonl": "",  # lines were inferred
+    f"truth/{PART}": "",
+    f"predictions/made_up/{PART}": "predictions are left out",
+    ROAD_FILE: "the road and slots are left out",
+    "scores.json": "scores are left out",
+}
+"""What `report` says of every other file."""
+CUT = {"suggestions.jsonl", "alerts.jsonl", "truth/events.jsonl"}
+"""Files of lines: what stands before the cut is shown."""
+
+
+def half(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+HURT: dict[str, Callable[[Path], None]] = {"lost": Path.unlink, "half": half, "empty": empty}
+COMMANDS = {
+    "report": ("report", "--no-animation"),
+    "figures": ("figures", "--only", "moment", "--formats", "svg"),
+    "animate": ("animate", "--from", "102.5", "--to", "102.7", "--quiet"),
+    "fcd": ("export", "--format", "fcd"),
+    "interaction": ("export", "--format", "interaction"),
+    "score": ("score",),
+}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = made_up_run(tmp_path_factory.mktemp("sound") / "run")
+    (run / "scores.json").write_text("[]\n")
+    return run
+
+
+def hurt(sound: Path, folder: Path, file: str, how: str) -> Path:
+    run = folder / "run"
+    shutil.rmtree(run, ignore_errors=True)
+    shutil.copytree(sound, run)
+    HURT[how](run / file)
+    return run
+
+
+def notices(page: Path) -> list[str]:
+    """Those that the page was given to show."""
+    packed = re.search(r'id="head">([^<]+)<', page.read_text())
+    assert packed is not None
+    head = json.loads(zlib.decompress(base64.b64decode(packed[1]), -zlib.MAX_WBITS))
+    return head["notices"]
+
+
+def test_no_file_is_forgotten(sound: Path) -> None:
+    files = {str(one.relative_to(sound)) for one in sound.rglob("*") if one.is_file()}
+    assert files == VITAL | LOST.keys()
+
+
+@pytest.mark.parametrize("how", HURT)
+@pytest.mark.parametrize("file", sorted(VITAL | LOST.keys()))
+def test_whatever_is_hurt_is_one_plain_line(
+    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, how: str
+) -> None:
+    run = hurt(sound, tmp_path, file, how)
+    for name, (command, *words) in COMMANDS.items():
+        out = tmp_path / name
+        target = {"animate": ("--out", str(out / "film.gif")), "score": ()}
+        status = main([command, str(run), *words, *target.get(name, ("--out", str(out)))])
+        told = capsys.readouterr().err.splitlines()
+        made = [one for one in out.rglob("*") if one.is_file()] if out.exists() else []
+        if file in VITAL:
+            assert status == 2
+        assert status in (0, 2), (name, told)
+        if status == 2:
+            assert told and not made
+        elif name != "score":
+            assert made
+        assert not [one for one in made if one.name.startswith(".")], "half a file"
+        # Without predictions the picture has a line of its own: why there is none.
+        assert len(told) <= 1 + file.startswith("predictions"), told
+        assert all(one.startswith("hatn-sim: ") and one.count(str(run)) == 1 for one in told), told
+
+
+@pytest.mark.parametrize("file", sorted(LOST))
+def test_a_lost_file_is_told_at_the_console_and_on_the_page(
+    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str
+) -> None:
+    run = hurt(sound, tmp_path, file, "lost")
+    assert main(["report", str(run), "--no-animation"]) == 0
+    told = capsys.readouterr().err.splitlines()
+    shown = notices(run / "report.html")
+    if not LOST[file]:
+        assert not told and not shown
+        return
+    where = f"{Path(file).parent}/" if file.startswith("predictions") else file
+    assert told[0] == f"hatn-sim: {run}: {where} is missing: {LOST[file]}"
+    assert shown == [f"{where} is missing: {LOST[file]}."]
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_half_a_line_at_the_end_is_dropped_and_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], finished: bool
+) -> None:
+    run = made_up_run(tmp_path / "run", finished=finished)
+    whole = read_run(run).alerts
+    with (run / "alerts.jsonl").open("a") as file:
+        file.write('{"frame": 40, "alert_id": "a2", "ed')
+    assert read_run(run, whole=False).alerts == whole
+    assert main(["report", str(run), "--no-animation"]) == 0
+    lines = f"is cut off after {len(whole)} lines" if finished else "ends in half a line"
+    expected = f"alerts.jsonl {lines}: what followed is left out"
+    assert f"hatn-sim: {run}: {expected}" in capsys.readouterr().err.splitlines()
+    assert f"{expected}." in notices(run / "report.html")
+    if finished:  # no kill did that: a replay, which needs all, is refused
+        with pytest.raises(InputError, match=r"alerts\.jsonl: the last line is cut off"):
+            _ = read_run(run).alerts
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("{", "a line is not JSON (line 2: "),
+        ("{}", "line 2 is not as a run leaves it (KeyError('frame'))"),
+        ("5", "line 2 is not as a run leaves it (TypeError("),
+    ],
+)
+def test_a_bad_line_elsewhere_is_an_error_with_its_number(
+    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, words: str
+) -> None:
+    shutil.copytree(sound, tmp_path / "run")
+    path = tmp_path / "run" / "alerts.jsonl"
+    first, *others = path.read_text().splitlines()
+    path.write_text("\n".join((first, line, *others, "")))
+    assert main(["report", str(tmp_path / "run"), "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert told[-1].startswith(f"hatn-sim: {path}: {words}")
+    assert not (tmp_path / "out").exists()
+
+
+def test_lines_of_frames_that_a_kill_took_back_do_not_count(tmp_path: Path) -> None:
+    run = made_up_run(tmp_path / "run", finished=False)
+    line = json.loads((run / "alerts.jsonl").read_text().splitlines()[0])
+    with (run / "alerts.jsonl").open("a") as file:
+        file.write(json.dumps({**line, "frame": 9999, "ego_id": "nobody"}) + "\n")
+    assert len(read_run(run, whole=False).alerts) == len(read_run(run).alerts) - 1
+    assert main(["report", str(run), "--no-animation"]) == 0
+
+
+def test_lines_along_lost_routes_are_not_guessed(tmp_path: Path) -> None:
+    run = made_up_run(tmp_path / "run")
+    head = json.loads((run / "run.json").read_text())
+    head["settings"]["lines"] = "route"
+    (run / "run.json").write_text(json.dumps(head))
+    assert read_run(run, whole=False).has_lines
+    (run / "truth" / PART).unlink()
+    found = read_run(run, whole=False)
+    assert not found.has_lines and Part.ROUTES in found.parts_left_out
+
+
+def test_scores_of_a_run_without_alerts_leave_assistance_out(
+    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["score", "--json", str(sound)]) == 0
+    everything = {one["measure"] for one in json.loads(capsys.readouterr().out)}
+    run = hurt(sound, tmp_path, "alerts.jsonl", "lost")
+    assert main(["score", "--json", str(run)]) == 0
+    said = capsys.readouterr()
+    left = {one["measure"] for one in json.loads(said.out)}
+    assert said.err == (
+        f"hatn-sim: {run}: alerts.jsonl is missing: alerts and suggestions are not scored\n"
+    )
+    assert "ade_3s" in left and left < everything
+
+
+def test_a_recording_without_its_signals_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    straight = lane("in", [(-80.0, 0.0), (0.0, 0.0)], signals={"out": 0})
+    lanes = [straight, lane("out", [(0.0, 0.0), (90.0, 0.0)])]
+    frames = driving(60)
+    log(tmp_path / "run", frames)
+    write_road(tmp_path / "run" / ROAD_FILE, lanes)
+    tracks, road = export_fcd(read_run(tmp_path / "run"), tmp_path)
+    known, unknown = tmp_path / "known", tmp_path / "unknown"
+    words = ["--map", str(road), "--predictor", "constant_velocity", "--no-picture"]
+    assert main(["run", "--tracks", str(tracks), *words, "--out", str(known)]) == 0
+    text = gzip.decompress(tracks.read_bytes()).decode()
+    plain = tmp_path / "plain.xml"
+    plain.write_text(re.sub(' closed="[01]*"', "", text))
+    assert main(["run", "--tracks", str(plain), *words, "--out", str(unknown)]) == 0
+    assert "signals" not in json.loads((known / "run.json").read_text())["settings"]
+    assert json.loads((unknown / "run.json").read_text())["settings"]["signals"] == "unknown"
+    again = tmp_path / "again"
+    played = ["run", str(unknown), "--predictor", "constant_velocity", "--no-picture"]
+    assert main([*played, "--out", str(again)]) == 0
+    for run, is_known in ((known, True), (unknown, False), (again, False)):
+        assert read_run(run).signals_known == is_known
+        assert main(["report", str(run), "--no-animation"]) == 0
+        said = [one for one in notices(run / "report.html") if "signals" in one]
+        assert bool(said) != is_known
+    capsys.readouterr()
+    assert np.all([len(one.scene.signal_closed) == 0 for one in read_run(unknown).frames()])
