@@ -35,7 +35,8 @@ class Way:
     """A way, and where on it the vehicle is."""
 
     route: Route
-    xy_m: Sequence[tuple[float, float]]  # [P] a point each `STEP_M`
+    xy_m: FloatArray  # [P, 2] a point each `STEP_M`
+    points_m: Sequence[tuple[float, float]]  # the same as plain numbers, to be looked up fast
     s_m: float
     last_junction_s_m: float | None  # where it is left; None: there is none
     first_crossing: Crossing | None  # of the whole route; None: it leads through no junction
@@ -43,9 +44,10 @@ class Way:
 
     def moved(self, xy_m: FloatArray) -> Way:
         """The vehicle is here [2] now, a frame later."""
-        s_m = _along(self.xy_m, round(self.s_m / STEP_M), *xy_m.tolist())
+        s_m = _along(self.points_m, round(self.s_m / STEP_M), *xy_m.tolist())
         last, first = self.last_junction_s_m, self.first_crossing
-        return Way(self.route, self.xy_m, s_m, last, first, self.ends_m)  # faster than `replace`
+        # Faster than `replace`.
+        return Way(self.route, self.xy_m, self.points_m, s_m, last, first, self.ends_m)
 
     def is_crossed(self, length_m: float) -> bool:
         """Whether the rear bumper of a vehicle of this length has left all junctions behind."""
@@ -63,8 +65,9 @@ def way_along(road: Road, route: Route, xy_m: FloatArray) -> Way:
     first = _first_crossing(route, inside, ends)
     away = xy_m - points
     nearest = int(np.einsum("px,px->p", away, away).argmin())
-    way: list[tuple[float, float]] = list(map(tuple, points.tolist()))
-    return Way(route, way, _along(way, nearest, *xy_m.tolist()), left, first, ends)
+    plain: list[tuple[float, float]] = list(map(tuple, points.tolist()))
+    s_m = _along(plain, nearest, *xy_m.tolist())
+    return Way(route, points, plain, s_m, left, first, ends)
 
 
 def _ends_m(lanes: Sequence[Lane]) -> list[float]:
