@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -157,8 +158,17 @@ def test_the_demand_that_meets_a_number_of_vehicles() -> None:
         return 12.0 * scale
 
     assert 12.0 * speed.scale_to_meet(vehicles_at, 9.0) == pytest.approx(9.0, rel=speed.CLOSE)
-    assert len(asked) < speed.TRIES, "it stops when it is near enough"
-    assert 5.9 < speed.scale_to_meet(vehicles_at, 1000.0) < 6.0, "as near as it gets"
+    assert len(asked) < speed.HALVINGS + len(speed.NEARBY), "it stops when it is near enough"
+    assert speed.scale_to_meet(vehicles_at, 1000.0) == 6.0, "as near as it gets"
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0, 3.0])
+def test_a_demand_is_found_among_numbers_that_rise_and_fall(phase: float) -> None:
+    def vehicles_at(scale: float) -> float:
+        return 12.0 * scale * (1.0 + 0.12 * math.sin(150.0 * scale + phase))
+
+    met = vehicles_at(speed.scale_to_meet(vehicles_at, 9.0))
+    assert met == pytest.approx(9.0, rel=speed.CLOSE)
 
 
 def test_the_scaling_table_has_a_row_for_all_sizes(capsys: pytest.CaptureFixture[str]) -> None:

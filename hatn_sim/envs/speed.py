@@ -37,7 +37,10 @@ SCALES: Final = (0.05, 6.0)
 """Demands are looked for between these multiples of what route files say."""
 CLOSE: Final = 0.02
 """Mean numbers of vehicles that differ by this share are the same."""
-TRIES: Final = 12
+HALVINGS: Final = 6
+NEARBY: Final = tuple(sign * 0.02 * k for k in range(1, 10) for sign in (1.0, -1.0))
+"""Demands beside the one that halving came to, as shares of it: a little more traffic may be fewer
+vehicles at once, as other vehicles meet."""
 
 Drive = Callable[[], tuple[int, float, Callable[[], object] | None]]
 """One step: frames simulated, vehicles at once, and what to do before the next, not timed."""
@@ -141,15 +144,24 @@ def scale_to_meet(vehicles_at: Callable[[float], float], wanted: float) -> float
 
     `vehicles_at` tells how many there are at a demand; it rises, if not at every step.
     """
-    low, high = SCALES
     found: dict[float, float] = {}
-    for _ in range(TRIES):
-        scale = math.sqrt(low * high)
+
+    def tried(scale: float) -> float:
         count = vehicles_at(scale)
         found[abs(count / wanted - 1.0)] = scale
+        return count
+
+    low, high = SCALES
+    for _ in range(HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if tried(middle) < wanted else (low, middle)
         if min(found) <= CLOSE:
             break
-        low, high = (scale, high) if count < wanted else (low, scale)
+    nearest = found[min(found)]
+    for share in NEARBY:
+        if min(found) <= CLOSE:
+            break
+        tried(min(nearest * (1.0 + share), SCALES[1]))
     return found[min(found)]
 
 
