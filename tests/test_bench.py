@@ -37,6 +37,7 @@ def weights(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_every_stage_beside_the_bare_step(
     weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

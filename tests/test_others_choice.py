@@ -246,6 +246,7 @@ def log(out: str, recording: str) -> Run:
     return read_run(path)
 
 
+@pytest.mark.slow
 def test_evaluate_says_what_chose(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate(site, "--out", "fitted", "--json") == 0
     printed = capsys.readouterr()
@@ -302,6 +303,7 @@ def test_a_choice_is_asked_for_where_there_is_something_to_fit_it_to(
     assert "found 0 for tjunction" in refused("run", "tjunction")
 
 
+@pytest.mark.slow
 def test_what_was_fitted_and_drawn_is_found_by_an_evaluation_elsewhere(
     site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -388,7 +388,7 @@ def test_who_is_driven_or_advised_is_not_adapted(
     assert logged.header["weights_sha256"] == {"hatn": load_weights(path).sha256}
 
 
-@pytest.mark.parametrize("trained_on", ["tracks", "lanes"])
+@pytest.mark.parametrize("trained_on", [pytest.param("tracks", marks=pytest.mark.slow), "lanes"])
 def test_a_run_has_the_lines_that_its_weights_were_trained_on(
     site: Path,
     networks: tuple[SemanticGraphNetwork, EncoderDecoderNetwork],

@@ -122,6 +122,7 @@ def test_an_unpacked_sdist_and_the_wheel_made_of_it(clone: Path, tmp_path: Path)
     check(look(site, tmp_path), site / "hatn_sim")
 
 
+@pytest.mark.slow
 def test_an_editable_install(clone: Path, tmp_path: Path) -> None:
     folder = unpack(build(clone, "wheel:editable", tmp_path / "built"), tmp_path / "site")
     assert list(folder.glob("*.pth"))
