@@ -421,6 +421,17 @@ def test_suggestions_are_logged_when_they_change(tmp_path: Path) -> None:
     assert run.alerts == ((1, alert),)
 
 
+def test_silence_is_logged_again_where_its_reason_changes(tmp_path: Path) -> None:
+    scene = make_frame(np.random.default_rng(0), 0)
+    prediction = plain_prediction(scene)
+    silent = replace(suggestion("abstain", 0.5), reason="unsure")
+    said = [silent, replace(silent, feasible=not silent.feasible), replace(silent, reason="far")]
+    with RunWriter(tmp_path / "run", HEADER) as writer:
+        for index, one in enumerate(said):
+            writer.write(index, scene, {"main": Advice(prediction, (one,), ())})
+    assert [change.frame for change in read_run(tmp_path / "run").suggestions] == [0, 2]
+
+
 def test_a_line_of_an_alert_has_the_frame_of_its_time(tmp_path: Path) -> None:
     """Onset at frame 3; known to be over at frame 9 that it peaked at 5 and ended at 7."""
     onset = Alert("1", "onset", "CONFLICT", 0.3, "a", "b", 0.7, "too close")

@@ -160,6 +160,23 @@ def test_a_time_is_told_only_where_the_gap_behind_is_there(std_m: float, told: s
     assert one.target_time_s is not None and 3.0 < one.target_time_s < 4.0
 
 
+def test_why_there_is_no_advice_can_be_read_before_it_is_something_else() -> None:
+    state, said = SuggestionState(), list[str]()
+    for frame in range(30):
+        # As likely as not, then a pass that is not safe, in turns.
+        scene, prediction = moment(TWO, {"ego": [0.5, 0.5] if frame % 2 else [0.05, 0.95]})
+        now = replace(scene, time_s=0.1 * frame)
+        state, (one,) = suggest(state, ROAD, now, prediction, frozenset({"ego"}))
+        assert (one.action, one.slot_id) == ("abstain", "other")
+        said.append(one.reason)
+    changes = [k for k in range(1, 30) if said[k] != said[k - 1]]
+    assert set(said) == {"unsure", "unsafe_pass"}
+    assert changes and min(np.diff([0, *changes])) >= 10
+    # Nothing is kept once there is advice.
+    _, told = advise(TWO, [0.95, 0.05], state, 35)
+    assert (told.action, told.reason) == ("yield", "likely")
+
+
 def test_a_yield_to_one_who_has_gone_is_none_to_whoever_comes_next() -> None:
     gone = SuggestionState({"ego": Told("ego", "another", "yield", True)})
     assert advise(TWO, [0.3, 0.7], gone)[1].action == "abstain"

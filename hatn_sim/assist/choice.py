@@ -72,6 +72,7 @@ class Chosen:
     speaks: BoolArray
     feasible: BoolArray
     why: IntArray  # of Why
+    why_s: FloatArray  # since when silence is explained so
     since_s: FloatArray  # when it began to say the same
     doubted_s: FloatArray  # since when other advice would have been given, nan: not
     wanted: IntArray  # what waits to be the best for long enough, into ACTIONS; -1: nothing does
@@ -136,13 +137,20 @@ def choose(
     feasible = np.where(says_on & young & ~alarming, before.feasible, feasible)
     is_best, unsafe = slot == likely.chances.best, np.where(goes, ~gentle, ~may_pass)
     why = np.where(is_best, Why.LIKELY, np.where(unsafe, Why.LIKELY_UNSAFE, Why.HELD))
+    why = np.select(list(silent.values()), list(silent), why)
+    # Whoever is told why there is no advice can read it before it is something else.
+    watches_on = ~speaks & (other == before.watched)
+    stays = watches_on & (now_s - before.why_s < LEAST_S - ROUNDING_S)
+    stays &= (why != Why.MUTUAL) & (before.why != Why.MUTUAL)
+    why = np.where(stays, before.why, why)
     return Chosen(
         slot=slot,
         node=node,
         other=other,
         speaks=speaks,
         feasible=feasible,
-        why=np.select(list(silent.values()), list(silent), why),
+        why=why,
+        why_s=np.where(watches_on & (why == before.why), before.why_s, now_s),
         since_s=np.where(says_on & (feasible == before.feasible), before.since_s, now_s),
         doubted_s=np.where(holds, since_s, np.nan),
         wanted=np.where(silent[Why.SETTLING], goes, -1),

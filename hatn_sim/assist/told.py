@@ -37,6 +37,8 @@ class Told:
         SILENT  # what would have been said, but that it has to be the best for a while ...
     )
     wanted_s: float = np.inf  # ... since when
+    why: int = -1  # of `choice.Why`: of silence ...
+    why_s: float = -np.inf  # ... since when it is said so
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,9 @@ class Before:
     wanted: IntArray  # [R] into ACTIONS, -1: silence
     wanted_s: FloatArray  # [R]
     said: Sequence[frozenset[tuple[str, str]]]
+    watched: IntArray  # [R] the vehicle that silence was about, -1: none
+    why: IntArray  # [R] of `choice.Why`
+    why_s: FloatArray  # [R]
 
 
 class Now(Protocol):
@@ -73,6 +78,10 @@ class Now(Protocol):
     def wanted(self) -> IntArray: ...
     @property
     def wanted_s(self) -> FloatArray: ...
+    @property
+    def why(self) -> IntArray: ...
+    @property
+    def why_s(self) -> FloatArray: ...
 
 
 _NOTHING: Final = Told("", "", SILENT, False)
@@ -120,6 +129,14 @@ def recall(
         wanted=np.array([_number(one.wanted) for one in last]),
         wanted_s=np.array([one.wanted_s for one in last]),
         said=[one.said for one in last],
+        watched=np.array(
+            [
+                -1 if is_on else index.get(one.other_id, -1)
+                for one, is_on in zip(last, speaks, strict=True)
+            ]
+        ),
+        why=np.array([one.why for one in last]),
+        why_s=np.array([one.why_s for one in last]),
     )
 
 
@@ -138,7 +155,19 @@ def remember(
     for k, v in zip(r.tolist(), graphs.rear[row[r], m].tolist(), strict=True):
         others[k].append(ids[v])
     told: list[Told] = []
-    for k, (rear, other, goes, speaks, feasible, doubted_s, since_s, wanted, wanted_s) in enumerate(
+    for k, (
+        rear,
+        other,
+        goes,
+        speaks,
+        feasible,
+        doubted_s,
+        since_s,
+        wanted,
+        wanted_s,
+        why,
+        why_s,
+    ) in enumerate(
         zip(
             graphs.rear[row, now.slot].tolist(),
             now.other.tolist(),
@@ -149,6 +178,8 @@ def remember(
             now.since_s.tolist(),
             now.wanted.tolist(),
             now.wanted_s.tolist(),
+            now.why.tolist(),
+            now.why_s.tolist(),
             strict=True,
         )
     ):
@@ -167,6 +198,8 @@ def remember(
                 since_s=since_s,
                 wanted=SILENT if wanted < 0 else ACTIONS[wanted],
                 wanted_s=wanted_s,
+                why=why,
+                why_s=why_s,
             )
         )
     return told

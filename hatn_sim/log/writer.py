@@ -170,7 +170,7 @@ class RunWriter:
 
     def _write_suggestions(self, frame_index: int, time_s: float, advice: Advice) -> None:
         """A line when action, slot, feasibility or the reason change: advice may be held against
-        what has become likely meanwhile.
+        what has become likely meanwhile. Of what is not advised, feasibility is nobody's concern.
 
         Not when a probability stirs.
         """
@@ -179,7 +179,7 @@ class RunWriter:
             key = (
                 suggestion.action,
                 suggestion.slot_id,
-                suggestion.feasible,
+                suggestion.action == "abstain" or suggestion.feasible,
                 suggestion.reason,
             )
             advised[suggestion.ego_id] = key
