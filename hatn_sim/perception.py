@@ -143,12 +143,14 @@ def recall(state: PerceptionState, scenes: Sequence[Scene]) -> PerceptionState:
     Lines are chosen at the first frame that is perceived then, from all of the tracks, as those of
     vehicles that come into view are; so that to begin in the midst of traffic takes no longer.
     """
+    if not scenes:
+        return state
     tracks = state.seen.tracks
     for scene in scenes:
         tracks = extend(tracks, scene)
     nothing = np.zeros(len(tracks.ids))
     lines = Lines(np.full(len(tracks.ids), -1), nothing, nothing, nothing, nothing)
-    seen = Perception(state.road, scenes[-1] if scenes else state.seen.scene, tracks, lines)
+    seen = Perception(state.road, scenes[-1], tracks, lines)
     return PerceptionState(state.road, state.choice, state.line_state, seen)
 
 

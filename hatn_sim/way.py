@@ -14,6 +14,9 @@ from hatn_sim.geometry import arc_length_m, resample
 from hatn_sim.road import Road
 
 STEP_M: Final = 0.5
+OFF_M: Final = 0.5
+AHEAD_POINTS: Final = 32
+"""Who is off its way by more is looked for 16 m ahead, too."""
 CROSSED_M: Final = 10.0
 """Who has left the last junction of its way this far behind has crossed."""
 JOINED_M: Final = 50.0
@@ -107,12 +110,20 @@ def _along(points_m: Sequence[tuple[float, float]], near: int, x_m: float, y_m: 
         px, py = points_m[point]
         return (x_m - px) ** 2 + (y_m - py) ** 2
 
+    def down_from(at: int) -> int:
+        least = away_m2(at)
+        step = 1 if at < last and away_m2(at + 1) < least else -1
+        while 0 <= at + step <= last and (next_m2 := away_m2(at + step)) < least:
+            at, least = at + step, next_m2
+        return at
+
     last = len(points_m) - 1
-    at = min(max(near, 0), last)
-    least = away_m2(at)
-    step = 1 if at < last and away_m2(at + 1) < least else -1
-    while 0 <= at + step <= last and (next_m2 := away_m2(at + step)) < least:
-        at, least = at + step, next_m2
+    at = down_from(min(max(near, 0), last))
+    if away_m2(at) > OFF_M**2:
+        # In a bend tighter than it is long its centre is nearer to where it came from for a while.
+        ahead = min(range(at, min(at + AHEAD_POINTS, last) + 1), key=away_m2)
+        if away_m2(ahead) < away_m2(at):
+            at = down_from(ahead)
     first = min(at, last - 1)
     (px, py), (qx, qy) = points_m[first], points_m[first + 1]
     dx, dy = qx - px, qy - py

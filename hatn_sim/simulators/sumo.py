@@ -272,9 +272,9 @@ class SumoSimulator:
         It has left before the new one opens a file: both may write the same.
         """
         last, self._worker = self._worker, None
-        if last is not None:
-            last.dismiss()
         try:
+            if last is not None:
+                last.dismiss()
             worker = self._worker = SumoWorker(self._workers)
         except WorkerDiedError as error:
             raise self._stopped(str(error)) from None

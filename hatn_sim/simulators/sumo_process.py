@@ -36,6 +36,10 @@ class WorkerDiedError(Exception):
     """The worker ended without an answer; the text says why as far as it is known."""
 
 
+class NurseryDiedError(WorkerDiedError):
+    """What workers are forked from has died, and can be begun anew."""
+
+
 class SumoWorker:
     """A worker process: one question, one answer. It leaves when its pipe closes.
 
@@ -46,19 +50,25 @@ class SumoWorker:
         """Raises WorkerDiedError where no process can be started."""
         self._owner = os.getpid()
         try:
-            with ExitStack() as opened:
-                self._words: IO[bytes] = opened.enter_context(tempfile.TemporaryFile())
-                asked, self._requests = map(opened.enter_context, _pipe())
-                self._answers, answer = map(opened.enter_context, _pipe())
-                files = asked.fileno(), answer.fileno(), self._words.fileno()
-                self._process = workers.start(files)
-                asked.close()
-                answer.close()
-                opened.pop_all()  # the others stay open
+            try:
+                self._open(workers)
+            except NurseryDiedError:  # just now; who knows what it has forked over those pipes
+                self._open(workers)
         except OSError as error:  # no files left, or no processes
             raise WorkerDiedError(f"its process could not be started: {error.strerror}") from None
         with suppress(OSError):  # it is gone: the first question will tell
             pickle.dump(Surroundings(_folder(), dict(os.environ)), self._requests, protocol=5)
+
+    def _open(self, workers: Workers) -> None:
+        with ExitStack() as opened:
+            self._words: IO[bytes] = opened.enter_context(tempfile.TemporaryFile())
+            asked, self._requests = map(opened.enter_context, _pipe())
+            self._answers, answer = map(opened.enter_context, _pipe())
+            files = asked.fileno(), answer.fileno(), self._words.fileno()
+            self._process = workers.start(files)
+            asked.close()
+            answer.close()
+            opened.pop_all()  # the others stay open
 
     @property
     def pid(self) -> int:
@@ -145,23 +155,19 @@ class Workers:
     def start(self, files: Sequence[int]) -> _Process:
         """A process with these as its standard input, output and error.
 
-        Raises WorkerDiedError where there can be none.
+        Raises WorkerDiedError where there can be none, NurseryDiedError where another try may do.
         """
         if not FORKS or not hasattr(os, "fork"):
             return _spawned((self._module,), files)
-        known = self._living_nursery()
-        try:
-            return known.fork(files)
-        except WorkerDiedError:
-            if known.is_of_use:  # there is no room for one more
-                raise
-        return self._living_nursery().fork(files)  # it died just now
-
-    def _living_nursery(self) -> _Nursery:
         if self._nursery is None or not self._nursery.is_of_use:
             self.close()
             self._nursery = _Nursery.shared(self._module)
-        return self._nursery
+        try:
+            return self._nursery.fork(files)
+        except WorkerDiedError as error:
+            if self._nursery.is_of_use:  # there is no room for one more
+                raise
+            raise NurseryDiedError(str(error)) from None
 
     def close(self) -> None:
         """May be called again; `start` opens it anew."""
@@ -217,10 +223,10 @@ class _Nursery:
     @property
     def is_of_use(self) -> bool:
         """It runs, and is of this process: what is forked off this one has its own."""
-        return self._is_own and self._process.poll() is None
+        return self.is_own and self._process.poll() is None
 
     @property
-    def _is_own(self) -> bool:
+    def is_own(self) -> bool:
         return os.getpid() == self._owner
 
     def fork(self, files: Sequence[int]) -> _Forked:
@@ -248,7 +254,7 @@ class _Nursery:
                 return
             if self._known.get(self._module) is self:
                 del self._known[self._module]
-        if self._is_own:
+        if self.is_own:
             self._end()
         self._control.close()
         self._words.close()
@@ -260,7 +266,7 @@ class _Nursery:
         self._process.wait()
 
     def _asked(self, kind: bytes, number: int, files: Sequence[int] = ()) -> tuple[bool, int]:
-        if not self._is_own:
+        if not self.is_own:
             raise WorkerDiedError("it belongs to another process")
         if self._control.fileno() < 0:
             raise WorkerDiedError("it has left")
@@ -285,6 +291,15 @@ if FORKS:
     os.register_at_fork(after_in_child=_Nursery.forget)
 
 
+def _has_ended(pid: int) -> bool:
+    """Of a process whose parent is no more: whoever is to take note of its end may never do so."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
+    except OSError:
+        return True
+    return state in (b"Z", b"X")
+
+
 class _Forked:
     """A worker forked from a nursery."""
 
@@ -305,7 +320,8 @@ class _Forked:
             try:
                 self._code = self._nursery.exit_code(self.pid)
             except WorkerDiedError:
-                self._code = 0  # it leaves by itself, as its pipe is closed
+                if not self._nursery.is_own or _has_ended(self.pid):
+                    self._code = 0
             if self._code is None:
                 if time.monotonic() > until_s:
                     raise subprocess.TimeoutExpired(WORKER, timeout or 0.0)
