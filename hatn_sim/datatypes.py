@@ -248,8 +248,8 @@ class Suggestion:
     probability: float  # that the ego takes this slot
     margin: float  # to the most probable of the other slots
     target_time_s: float | None  # until the ego, driving the profile, is at the conflict; None:
-    # nobody can say
-    advised_speed_mps: float  # mean of the profile until then
+    # nobody can say, or on a yield somebody else may come then
+    advised_speed_mps: float  # mean of the profile until then, or of all of it
     feasible: bool  # within the comfort limits
     text: str
     profile_mps: tuple[float, ...] = ()  # speed at the end of each tick; empty on abstention

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from conftest import crossing_lanes, lane, scene_of
 
 from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.assist.outlook import in_the_way, look_ahead, plausible_travel_m
-from hatn_sim.assist.suggest import SuggestionState, slot_profiles, suggest
+from hatn_sim.assist.profile import COMFORT_ACCELERATION_MPS2
+from hatn_sim.assist.suggest import SuggestionState, _gap_is_there, slot_profiles, suggest
 from hatn_sim.assist.told import Told
 from hatn_sim.assist.words import names
 from hatn_sim.datatypes import Kind, Prediction, Scene, Suggestion
@@ -157,7 +159,31 @@ def test_a_time_is_told_only_where_the_gap_behind_is_there(std_m: float, told: s
         state, (one,) = suggest(state, ROAD, now, goals, frozenset({"ego"}))
     assert (one.action, one.slot_id) == ("yield", "other")
     assert told in one.text
-    assert one.target_time_s is not None and 3.0 < one.target_time_s < 4.0
+    if one.target_time_s is None:
+        assert "wait" in told
+    else:
+        assert 3.0 < one.target_time_s < 4.0 and "go after it in 3." in one.text
+
+
+@pytest.mark.parametrize(("soonest_s", "is_there"), [(7.0, False), (9.5, True)])
+def test_a_gap_is_there_until_the_last_area_is_left(soonest_s: float, is_there: bool) -> None:
+    """Whom it lets go crosses 10 to 17 m ahead, another one 40 to 47 m: 8.9 s in all.
+
+    The ego is there after 3.4 s; from a stand, 37 m at 2.5 m/s2 take 5.4 s.
+    """
+    assert np.sqrt(2.0 * 37.0 / COMFORT_ACCELERATION_MPS2) + 3.4 == pytest.approx(8.9, abs=0.6)
+    outlook = SimpleNamespace(
+        graphs=SimpleNamespace(focus_mask=np.ones((1, 3), np.bool_), rear=np.array([[0, 1, 2]])),
+        room_m=np.array([[0.0, 10.0, 40.0]]),
+        clear_m=np.array([[0.0, 17.0, 47.0]]),
+        soonest_s=np.array([[0.0, 1.0, soonest_s]]),
+    )
+    options = SimpleNamespace(let_go=np.array([[False, True, False]]))
+    profiles = SimpleNamespace(arrival_s=lambda way_m: np.where(way_m > 20.0, 60.0, 3.4))
+    chosen = SimpleNamespace(node=np.array([1]))
+    row, target_s = np.array([0]), np.array([3.4])
+    found = _gap_is_there(outlook, row, options, chosen, profiles, target_s)  # type: ignore[arg-type]
+    assert found.tolist() == [is_there]
 
 
 def test_why_there_is_no_advice_can_be_read_before_it_is_something_else() -> None:

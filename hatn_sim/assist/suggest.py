@@ -19,7 +19,7 @@ from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
 from hatn_sim.assist.pairs import Pairs
 from hatn_sim.assist.profile import COMFORT_ACCELERATION_MPS2, PROFILE_FRAMES, Profiles, drive
-from hatn_sim.assist.told import ROUNDING_S, Told, recall, remember
+from hatn_sim.assist.told import LEAST_S, ROUNDING_S, Told, recall, remember
 from hatn_sim.assist.words import braking, names, words
 from hatn_sim.datatypes import (
     DT_S,
@@ -84,10 +84,16 @@ def suggest(
     has_stopped = np.array([name in stopped for name in egos_now])
     options = weigh_options(outlook, row, likely, has_stopped)
     chosen = choose(outlook, row, likely, options, before)
-    out = _suggestions(outlook, row, likely, options, chosen)
+    plans = _plans(outlook, row, options, chosen)
+    now_s, fresh = scene.time_s, chosen.since_s == scene.time_s
+    # A time is taken back at once, and told where it holds: not now and then.
+    settled = before.timed | (now_s - before.timed_s >= LEAST_S - ROUNDING_S)
+    timed = plans.is_timed & (fresh | settled)
+    timed_s = np.where(fresh | (timed != before.timed), now_s, before.timed_s)
+    out = _suggestions(outlook, row, likely, options, chosen, plans, timed)
     group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
     concerns = np.where((chosen.slot > 0)[:, None], group, options.let_go)
-    told = remember(before, scene, graphs, row, concerns, chosen)
+    told = remember(before, scene, graphs, row, concerns, chosen, timed, timed_s)
     return SuggestionState(recent | dict(zip(egos_now, told, strict=True)), stopped), out
 
 
@@ -121,19 +127,43 @@ def stopped_at_line(before: frozenset[str], scene: Scene, graphs: SemanticGraphs
     return frozenset(now)
 
 
-def _suggestions(
-    outlook: Outlook, row: IntArray, likely: Likely, options: Options, chosen: Chosen
-) -> tuple[Suggestion, ...]:
-    graphs, scene = outlook.graphs, outlook.scene
-    rows, goes = np.arange(len(row)), chosen.slot > 0
+@dataclass(frozen=True, eq=False)
+class _Plans:
+    """How egos [R] drive what they are advised."""
+
+    profiles: Profiles
+    target_s: FloatArray  # [R] when they are at the conflict
+    is_timed: BoolArray  # [R] it is known well enough to be told on a yield
+
+
+def _plans(outlook: Outlook, row: IntArray, options: Options, chosen: Chosen) -> _Plans:
+    goes = chosen.slot > 0
     room = outlook.room_m[row, chosen.node][:, None]
-    profiles = options.driven.of(np.where(goes, options.of_pass, rows))
+    profiles = options.driven.of(np.where(goes, options.of_pass, np.arange(len(row))))
     arrival = profiles.arrival_s(room)[:, 0]
     # Beyond the profile nobody goes before the way is open.
     waits = ~goes & (arrival > PROFILE_S)
     target = np.where(waits, np.maximum(arrival, options.open_s), arrival)
-    sure = (target <= PROFILE_S) & (goes | _gap_is_there(outlook, row, options, profiles, target))
-    mean_mps, speeds = profiles.mean_mps(arrival), profiles.tick_speed_mps()
+    is_timed = ~goes & (target <= PROFILE_S)
+    is_timed &= _gap_is_there(outlook, row, options, chosen, profiles, target)
+    return _Plans(profiles, target, is_timed)
+
+
+def _suggestions(
+    outlook: Outlook,
+    row: IntArray,
+    likely: Likely,
+    options: Options,
+    chosen: Chosen,
+    plans: _Plans,
+    timed: BoolArray,
+) -> tuple[Suggestion, ...]:
+    graphs, scene = outlook.graphs, outlook.scene
+    rows, goes = np.arange(len(row)), chosen.slot > 0
+    speeds = plans.profiles.tick_speed_mps()
+    target_s: list[float] = plans.target_s.tolist()
+    known = np.where(goes, plans.target_s <= FORESEEN_S, timed)
+    mean_mps = plans.profiles.mean_mps(np.where(known, plans.target_s, PROFILE_S))
     ego, other = graphs.ego[row], chosen.other
     brakes = braking(scene.speed_mps[ego], speeds)
     called = names(scene, ego, other)
@@ -145,8 +175,7 @@ def _suggestions(
         np.where(chosen.speaks, np.where(goes, "pass", "yield"), "abstain").tolist(),
         likely.chances.of[rows, chosen.slot].tolist(),
         likely.chances.margin(chosen.slot).tolist(),
-        [one if one <= FORESEEN_S else None for one in target.tolist()],
-        sure.tolist(),
+        [one if is_known else None for one, is_known in zip(target_s, known.tolist(), strict=True)],
         mean_mps.tolist(),
         chosen.feasible.tolist(),
         options.let_go.sum(axis=1).tolist(),
@@ -170,8 +199,8 @@ def _suggestions(
             text=words(
                 who,
                 action,
-                more=let_go - 1,
-                target_s=target_s if is_sure else None,
+                more=max(let_go - 1, 0),
+                target_s=target_s,
                 feasible=feasible,
                 brakes=hard,
                 first=first,
@@ -188,7 +217,6 @@ def _suggestions(
             chance,
             margin,
             target_s,
-            is_sure,
             advised_mps,
             feasible,
             let_go,
@@ -201,15 +229,22 @@ def _suggestions(
 
 
 def _gap_is_there(
-    outlook: Outlook, row: IntArray, options: Options, profiles: Profiles, target_s: FloatArray
+    outlook: Outlook,
+    row: IntArray,
+    options: Options,
+    chosen: Chosen,
+    profiles: Profiles,
+    target_s: FloatArray,
 ) -> BoolArray:
-    """Whether nobody else may plausibly come before egos [R] that yield are out, from `target_s`.
+    """Whether nobody else may plausibly come before egos [R] that yield are out of the way.
 
-    A driver who is told a time looks for no further gap.
+    They are at the area of whom they let go at `target_s` [R], and drive on as the profile does, or
+    from a stand. A driver who is told a time looks for no further gap.
     """
     graphs = outlook.graphs
     others = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0) & ~options.let_go
-    within_m = np.maximum(outlook.clear_m[row] - np.maximum(outlook.room_m[row], 0.0), 0.0)
+    from_m = np.maximum(outlook.room_m[row, chosen.node], 0.0)[:, None]
+    within_m = np.maximum(outlook.clear_m[row] - from_m, 0.0)
     from_stand_s = np.sqrt(2.0 * within_m / COMFORT_ACCELERATION_MPS2)
     clear_s = profiles.arrival_s(np.where(others, outlook.clear_m[row], 0.0))
     out_s = np.minimum(clear_s, target_s[:, None] + from_stand_s)

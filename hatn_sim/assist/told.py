@@ -39,6 +39,8 @@ class Told:
     wanted_s: float = np.inf  # ... since when
     why: int = -1  # of `choice.Why`: of silence ...
     why_s: float = -np.inf  # ... since when it is said so
+    timed: bool = False  # whether a yield was told how long it takes ...
+    timed_s: float = -np.inf  # ... since when that is so, or is not
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,8 @@ class Before:
     watched: IntArray  # [R] the vehicle that silence was about, -1: none
     why: IntArray  # [R] of `choice.Why`
     why_s: FloatArray  # [R]
+    timed: BoolArray  # [R]
+    timed_s: FloatArray  # [R]
 
 
 class Now(Protocol):
@@ -137,6 +141,8 @@ def recall(
         ),
         why=np.array([one.why for one in last]),
         why_s=np.array([one.why_s for one in last]),
+        timed=np.array([one.timed for one in last]),
+        timed_s=np.array([one.timed_s for one in last]),
     )
 
 
@@ -147,8 +153,13 @@ def remember(
     row: IntArray,
     concerns: BoolArray,
     now: Now,
+    timed: BoolArray,
+    timed_s: FloatArray,
 ) -> list[Told]:
-    """What egos of graphs [R] are told; `concerns` [R, M] are all whom it is about."""
+    """What egos of graphs [R] are told; `concerns` [R, M] are all whom it is about.
+
+    `timed` [R] tells whether with a time, `timed_s` [R] since when.
+    """
     ids, time_s = scene.ids, scene.time_s
     others: list[list[str]] = [[] for _ in range(len(row))]
     r, m = np.nonzero(concerns & now.speaks[:, None])
@@ -167,6 +178,8 @@ def remember(
         wanted_s,
         why,
         why_s,
+        is_timed,
+        is_timed_s,
     ) in enumerate(
         zip(
             graphs.rear[row, now.slot].tolist(),
@@ -180,6 +193,8 @@ def remember(
             now.wanted_s.tolist(),
             now.why.tolist(),
             now.why_s.tolist(),
+            timed.tolist(),
+            timed_s.tolist(),
             strict=True,
         )
     ):
@@ -200,6 +215,8 @@ def remember(
                 wanted_s=wanted_s,
                 why=why,
                 why_s=why_s,
+                timed=is_timed,
+                timed_s=is_timed_s,
             )
         )
     return told

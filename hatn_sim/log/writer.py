@@ -169,18 +169,21 @@ class RunWriter:
                 _write_line(self._events, event)
 
     def _write_suggestions(self, frame_index: int, time_s: float, advice: Advice) -> None:
-        """A line when action, slot, feasibility or the reason change: advice may be held against
-        what has become likely meanwhile. Of what is not advised, feasibility is nobody's concern.
+        """A line when action, slot, feasibility or the reason change, or whether a time is told:
+        advice may be held against what has become likely meanwhile. Of what is not advised,
+        feasibility and time are nobody's concern.
 
         Not when a probability stirs.
         """
         advised = {}
         for suggestion in advice.suggestions:
+            is_silent = suggestion.action == "abstain"
             key = (
                 suggestion.action,
                 suggestion.slot_id,
-                suggestion.action == "abstain" or suggestion.feasible,
+                is_silent or suggestion.feasible,
                 suggestion.reason,
+                is_silent or suggestion.target_time_s is None,
             )
             advised[suggestion.ego_id] = key
             if self._advised.get(suggestion.ego_id) != key:
