@@ -64,9 +64,9 @@ def test_the_time_in_the_text_is_that_of_the_profile(told: list[Said]) -> None:
         timed += 1
         assert one.target_time_s is not None
         assert float(found[1]) == pytest.approx(one.target_time_s, abs=0.051)
-        # It is not there for good before: whoever is to wait for longer than the profile rolls.
-        assert one.target_time_s <= 10.0 and (one.target_time_s <= 5.0 or one.profile_mps[-1] > 0.0)
-    assert timed > 20
+        # Later, somebody may come whom nobody has predicted.
+        assert one.target_time_s <= 3.0
+    assert timed >= 4
 
 
 def test_the_speed_advised_is_on_the_profile(told: list[Said]) -> None:

@@ -13,16 +13,23 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.braked_for import braked_for_first
-from hatn_sim.assist.choice import STANDING_MPS, Chosen, Why, choose
+from hatn_sim.assist.choice import PASS_MARGIN_S, STANDING_MPS, Chosen, Why, choose
 from hatn_sim.assist.likely import Likely, likely_slots
 from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
-from hatn_sim.assist.pairs import Pairs
-from hatn_sim.assist.profile import COMFORT_ACCELERATION_MPS2, PROFILE_FRAMES, Profiles, drive
+from hatn_sim.assist.pairs import MERGE, Pairs
+from hatn_sim.assist.profile import (
+    COMFORT_ACCELERATION_MPS2,
+    COMFORT_BRAKING_MPS2,
+    PROFILE_FRAMES,
+    Profiles,
+    drive,
+)
 from hatn_sim.assist.told import LEAST_S, ROUNDING_S, Told, recall, remember
 from hatn_sim.assist.words import braking, names, words
 from hatn_sim.datatypes import (
     DT_S,
+    HORIZON_FRAMES,
     BoolArray,
     FloatArray,
     Front,
@@ -40,6 +47,8 @@ AT_LINE_M: Final = 3.0
 FORESEEN_S: Final = 10.0
 """Later than this nobody can say when the ego will be at the conflict."""
 PROFILE_S: Final = DT_S * PROFILE_FRAMES
+TOLD_S: Final = DT_S * HORIZON_FRAMES
+"""Later than predictions reach, somebody may come whom nobody sees yet: no time is told."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +153,7 @@ def _plans(outlook: Outlook, row: IntArray, options: Options, chosen: Chosen) ->
     # Beyond the profile nobody goes before the way is open.
     waits = ~goes & (arrival > PROFILE_S)
     target = np.where(waits, np.maximum(arrival, options.open_s), arrival)
-    is_timed = ~goes & (target <= PROFILE_S)
+    is_timed = ~goes & (target <= TOLD_S)
     is_timed &= _gap_is_there(outlook, row, options, chosen, profiles, target)
     return _Plans(profiles, target, is_timed)
 
@@ -239,7 +248,8 @@ def _gap_is_there(
     """Whether nobody else may plausibly come before egos [R] that yield are out of the way.
 
     They are at the area of whom they let go at `target_s` [R], and drive on as the profile does, or
-    from a stand. A driver who is told a time looks for no further gap.
+    from a stand; where lines merge, whoever comes is to brake in comfort, as for a pass. A driver
+    who is told a time looks for no further gap.
     """
     graphs = outlook.graphs
     others = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0) & ~options.let_go
@@ -248,4 +258,8 @@ def _gap_is_there(
     from_stand_s = np.sqrt(2.0 * within_m / COMFORT_ACCELERATION_MPS2)
     clear_s = profiles.arrival_s(np.where(others, outlook.clear_m[row], 0.0))
     out_s = np.minimum(clear_s, target_s[:, None] + from_stand_s)
+    other_mps = outlook.scene.speed_mps[np.maximum(graphs.rear[row], 0)]
+    faster_mps = np.maximum(other_mps - np.sqrt(2.0 * within_m * COMFORT_ACCELERATION_MPS2), 0.0)
+    brakes_s = faster_mps**2 / (2.0 * COMFORT_BRAKING_MPS2 * np.maximum(other_mps, 1.0))
+    out_s += PASS_MARGIN_S + np.where(graphs.conflict_type[row] == MERGE, brakes_s, 0.0)
     return np.asarray(~(others & (outlook.soonest_s[row] < out_s)).any(axis=1))
