@@ -34,7 +34,14 @@ WORDS = [
     "--out",
 ]
 Told = dict[str, tuple[Any, ...]]
-"""What egos are told: action, slot, whether it is feasible, and why."""
+"""What egos are told: action, slot, why; and where that is not silence whether it is feasible, and
+whether a time is told."""
+
+
+def told(one: dict[str, Any]) -> tuple[Any, ...]:
+    always = one["action"], one["slot_id"], one["reason"]
+    silent = one["action"] == "abstain"
+    return always if silent else (*always, one["feasible"], one["target_time_s"] is None)
 
 
 def lines_of(path: Path) -> list[dict[str, Any]]:
@@ -46,7 +53,8 @@ def without_reasons_alone(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
     last: dict[str, Any] = {}
     kept: list[dict[str, Any]] = []
     for line in lines:
-        advised = (line["action"], line.get("slot_id"), line.get("feasible"))
+        feasible = line["action"] == "abstain" or line.get("feasible")
+        advised = (line["action"], line.get("slot_id"), feasible)
         if last.get(line["ego_id"]) != advised:
             kept.append(line)
         last[line["ego_id"]] = advised
@@ -61,10 +69,7 @@ def test_a_new_reason_has_its_line_and_scores_do_not_see_it(
 
     def watched(writer: RunWriter, index: int, frame: Any, advice: Any) -> None:
         main = next(iter(advice.values()))
-        advised[index] = {
-            one.ego_id: (one.action, one.slot_id, one.feasible, one.reason)
-            for one in main.suggestions
-        }
+        advised[index] = {one.ego_id: told(asdict(one)) for one in main.suggestions}
         write(writer, index, frame, advice)
 
     monkeypatch.setattr(RunWriter, "write", watched)
@@ -81,7 +86,7 @@ def test_a_new_reason_has_its_line_and_scores_do_not_see_it(
                 continue
             name, before = line["ego_id"], now.pop(line["ego_id"], None)
             if line["action"] is not None:
-                now[name] = tuple(line[key] for key in ("action", "slot_id", "feasible", "reason"))
+                now[name] = told(line)
             assert now.get(name) != before, "a line in which nothing is new"
         assert now == advised[index], index
 

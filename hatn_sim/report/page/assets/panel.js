@@ -60,7 +60,7 @@ function makePanel(app) {
     const ago = view.time - app.timeOf(said.frame), told = [];
     if (said.target_s !== null) told.push(`at the conflict ${inSeconds(said.target_s - ago)}`);
     if (said.speed_mps !== null) told.push(`${said.speed_mps.toFixed(1)} m/s on the way`);
-    if (!said.feasible) told.push('beyond comfort');
+    if (said.action !== 'abstain' && !said.feasible) told.push('beyond comfort');
     if (said.reason && said.reason !== 'likely') told.push(WHY[said.reason] || said.reason.replaceAll('_', ' '));
     told.push(ago < 0.05 ? 'said just now' : `said ${ago.toFixed(1)} s ago`);
     text.className = `advice ${said.action}`;
