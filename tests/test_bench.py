@@ -140,7 +140,7 @@ def test_environments_beside_those_of_highway_env(
     told = json.loads(capsys.readouterr().out)
     first, *others = told["speeds"]
     assert first["what"] == "highway-env, intersection-v2" and first["ratio"] == 1.0
-    assert [one["what"] for one in others][:2] == ["no prediction", "hatn, each step, advised"]
+    assert [one["what"] for one in others][:2] == ["no prediction", "hatn, each second, advised"]
     assert others[-1]["what"] == "hatn, each frame, 2 side by side"
     for one in told["speeds"]:
         ratio = one["frames_per_s"] / first["frames_per_s"]

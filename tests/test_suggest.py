@@ -337,6 +337,25 @@ def test_two_of_the_same_name_are_told_apart(speed_mps: float, kind: Kind, expec
     assert found.text == expected
 
 
+def test_whoever_is_spoken_of_next_is_another_one_if_called_the_same() -> None:
+    _, alone = advise(TWO, [0.9, 0.1])
+    assert alone.text.startswith("Yield to the car from the right")
+    for who, expected in (
+        ("the car from the right", "Yield to another car from the right"),
+        ("another car from the right", "Yield to another car from the right"),
+        ("the car from the left", "Yield to the car from the right"),
+        ("the lorry from the right", "Yield to the car from the right"),
+    ):
+        gone = Told("gone", "gone", "pass", True, time_s=0.0, called=who)
+        state, told = advise(TWO, [0.9, 0.1], SuggestionState({"ego": gone}), 4)
+        assert told.slot_id == "other" and told.text.startswith(expected)
+        # And it stays so.
+        assert advise(TWO, [0.9, 0.1], state)[1].text.startswith(expected)
+    same = Told("ego", "other", "yield", True, called="the car from the right")
+    _, told = advise(TWO, [0.9, 0.1], SuggestionState({"ego": same}))
+    assert told.text.startswith("Yield to the car from the right")
+
+
 def test_a_leader_is_ahead_whatever_way_the_lane_bends() -> None:
     # On the quarter circle of the left turn, 12 m ahead of the ego and 45 degrees to its left.
     scene = scene_of(0.0, {"ego": (-8.0, 0.0, 0.0, 8.0), "lead": (0.0, 8.0, NORTH, 0.0)})
@@ -366,6 +385,26 @@ def test_whoever_cannot_stop_any_more_clears_the_area() -> None:
     assert told.action == "pass" and told.slot_id == "other"
     # It is past the conflict in a third of a second: who was told nothing is told nothing more.
     assert advise(inside, [0.9, 0.1])[1].action == "abstain"
+
+
+@pytest.mark.parametrize(
+    ("front_m", "ego_mps", "reason"),
+    [(1.5, 0.0, "in_the_way"), (1.5, 2.0, "in_the_way"), (0.5, 4.0, "too_late")],
+)
+def test_whoever_has_its_nose_inside_is_not_told_to_pass_what_it_will_not(
+    front_m: float, ego_mps: float, reason: str
+) -> None:
+    # The front is at the area when the middle is 3.5 m before the point where the lines cross. With
+    # half a metre inside the ego is not in the way yet, but cannot stop before it any more. The other
+    # is there in a second.
+    y_m = front_m - 3.5
+    inside = {"ego": (0.0, y_m, NORTH, ego_mps), "other": (-12.0, 0.0, 0.0, 8.0)}
+    _, told = advise(inside, [0.99, 0.01])
+    assert (told.action, told.reason) == ("abstain", reason)
+    # Nor is that kept of a vehicle that has come to a stand.
+    before = SuggestionState({"ego": Told("other", "other", "pass", False)})
+    _, told = advise(inside, [0.99, 0.01], before, 12)
+    assert (told.action == "abstain") == (ego_mps == 0.0)
 
 
 def test_only_the_named_egos_are_advised_and_a_near_tie_abstains() -> None:

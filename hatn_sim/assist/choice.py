@@ -191,17 +191,21 @@ def _silences(
     fastest = np.maximum(speed[graphs.ego[row]], speed[graphs.rear[row, likely.first]])
     other = graphs.rear[row, np.where(goes, slot, named)]
     yields, begins_to_yield = ~goes, changes & ~goes
+    # Who can no longer stay out, but is likely to wait, has nothing to be told that is safe.
+    astray, stands = goes & ~wants_pass & ~safe, speed[graphs.ego[row]] < STANDING_MPS
+    there = in_the_way(outlook, row)[np.arange(len(row)), np.where(goes, slot, named)]
+    astray_there = astray & (stands | (changes & there))
     return {
         Why.FAR: ~likely.speaks & ~likely.near & (likely.told < 0),
         Why.UNSURE: ~likely.speaks,
         Why.UNSAFE_PASS: (changes & goes & ~safe & options.stays_out)
         | (begins_to_yield & wants_pass & ~((likely.slot == likely.told) & gentle)),
         # A yield does not begin where it asks for more than comfort, ...
-        Why.TOO_LATE: begins_to_yield & ~gentle,
+        Why.TOO_LATE: (begins_to_yield & ~gentle) | (astray & changes & ~astray_there),
         # ... or the ego is likely to be gone in time and might do otherwise, ...
         Why.GONE_IN_TIME: begins_to_yield & free & (own_yield < SURE),
         # ... nor where it is in the other's way already.
-        Why.IN_THE_WAY: begins_to_yield & in_the_way(outlook, row)[np.arange(len(row)), named],
+        Why.IN_THE_WAY: (begins_to_yield & there) | astray_there,
         # Nobody is told to yield to one who is likelier to wait for him.
         Why.OTHER_WAITS: yields & wants_pass & free & (likely.other_yields > own_yield),
         # Of two who wait for each other, nobody can tell who will go.

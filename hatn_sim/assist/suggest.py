@@ -6,7 +6,7 @@ remembered.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -26,7 +26,7 @@ from hatn_sim.assist.profile import (
     drive,
 )
 from hatn_sim.assist.told import LEAST_S, ROUNDING_S, Told, recall, remember
-from hatn_sim.assist.words import braking, names, words
+from hatn_sim.assist.words import braking, names, told_apart, words
 from hatn_sim.datatypes import (
     DT_S,
     HORIZON_FRAMES,
@@ -99,10 +99,13 @@ def suggest(
     settled = before.timed | (now_s - before.timed_s >= LEAST_S - ROUNDING_S)
     timed = plans.is_timed & (fresh | settled)
     timed_s = np.where(fresh | (timed != before.timed), now_s, before.timed_s)
-    out = _suggestions(outlook, row, likely, options, chosen, plans, timed)
+    called = names(scene, graphs.ego[row], chosen.other)
+    of_others = [scene.ids[v] for v in chosen.other.tolist()]
+    called = told_apart(called, of_others, before.called, before.other)
+    out = _suggestions(outlook, row, likely, options, chosen, plans, timed, called)
     group = graphs.focus_mask[row] & (np.arange(graphs.rear.shape[1]) > 0)
     concerns = np.where((chosen.slot > 0)[:, None], group, options.let_go)
-    told = remember(before, scene, graphs, row, concerns, chosen, timed, timed_s)
+    told = remember(before, scene, graphs, row, concerns, chosen, timed, timed_s, called)
     return SuggestionState(recent | dict(zip(egos_now, told, strict=True)), stopped), out
 
 
@@ -166,6 +169,7 @@ def _suggestions(
     chosen: Chosen,
     plans: _Plans,
     timed: BoolArray,
+    called: Sequence[str],
 ) -> tuple[Suggestion, ...]:
     graphs, scene = outlook.graphs, outlook.scene
     rows, goes = np.arange(len(row)), chosen.slot > 0
@@ -175,7 +179,6 @@ def _suggestions(
     mean_mps = plans.profiles.mean_mps(np.where(known, plans.target_s, PROFILE_S))
     ego, other = graphs.ego[row], chosen.other
     brakes = braking(scene.speed_mps[ego], speeds)
-    called = names(scene, ego, other)
     firsts, called = braked_for_first(outlook, row, options, chosen, brakes, called)
     columns = zip(
         ego.tolist(),

@@ -41,6 +41,7 @@ class Told:
     why_s: float = -np.inf  # ... since when it is said so
     timed: bool = False  # whether a yield was told how long it takes ...
     timed_s: float = -np.inf  # ... since when that is so, or is not
+    called: str = ""  # what the other was called
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,8 @@ class Before:
     why_s: FloatArray  # [R]
     timed: BoolArray  # [R]
     timed_s: FloatArray  # [R]
+    other: Sequence[str]  # whom it named, or silence was about, gone or not; "": nobody ...
+    called: Sequence[str]  # ... and how
 
 
 class Now(Protocol):
@@ -143,6 +146,8 @@ def recall(
         why_s=np.array([one.why_s for one in last]),
         timed=np.array([one.timed for one in last]),
         timed_s=np.array([one.timed_s for one in last]),
+        other=[one.other_id for one in last],
+        called=[one.called for one in last],
     )
 
 
@@ -155,10 +160,11 @@ def remember(
     now: Now,
     timed: BoolArray,
     timed_s: FloatArray,
+    called: Sequence[str],
 ) -> list[Told]:
     """What egos of graphs [R] are told; `concerns` [R, M] are all whom it is about.
 
-    `timed` [R] tells whether with a time, `timed_s` [R] since when.
+    `timed` [R] tells whether with a time, `timed_s` [R] since when, `called` [R] whom it names.
     """
     ids, time_s = scene.ids, scene.time_s
     others: list[list[str]] = [[] for _ in range(len(row))]
@@ -217,6 +223,7 @@ def remember(
                 why_s=why_s,
                 timed=is_timed,
                 timed_s=is_timed_s,
+                called=called[k],
             )
         )
     return told

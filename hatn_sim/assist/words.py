@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final
 
@@ -119,6 +120,18 @@ def because(who: str, stands: bool) -> str:
 def another(who: str) -> str:
     """What somebody is called after somebody else of the same name: another car from the left."""
     return "another" + who.removeprefix("the")
+
+
+def told_apart(
+    called: Sequence[str], ids: Sequence[str], last_called: Sequence[str], last_ids: Sequence[str]
+) -> list[str]:
+    """Names [R] of vehicles, where the last that was spoken of may have had the same: another."""
+    apart: list[str] = []
+    for who, name, last_who, last_name in zip(called, ids, last_called, last_ids, strict=True):
+        is_same_name = last_who in (who, another(who))
+        goes_on = last_who if name == last_name else another(who)
+        apart.append(goes_on if is_same_name else who)
+    return apart
 
 
 LINE: Final = "the line ahead"
