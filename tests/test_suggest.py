@@ -395,8 +395,8 @@ def test_whoever_has_its_nose_inside_is_not_told_to_pass_what_it_will_not(
     front_m: float, ego_mps: float, reason: str
 ) -> None:
     # The front is at the area when the middle is 3.5 m before the point where the lines cross. Half
-    # a metre inside, the ego is not in the way yet, but cannot stop before it any more. The other is
-    # there in a second.
+    # a metre inside, the ego is not in the way yet, but cannot stop before it any more. The other
+    # is there in a second.
     y_m = front_m - 3.5
     inside = {"ego": (0.0, y_m, NORTH, ego_mps), "other": (-12.0, 0.0, 0.0, 8.0)}
     _, told = advise(inside, [0.99, 0.01])
