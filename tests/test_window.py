@@ -122,6 +122,7 @@ def test_who_is_shown_is_in_view_and_who_is_warned_goes_first() -> None:
         focus_mask=np.ones((4, 2), np.bool_),
         has_conflict=np.ones(4, np.bool_),
         ego_to_conflict_m=np.array([[0.0, 10.0], [0.0, 5.0], [0.0, 20.0], [0.0, 1.0]]),
+        ego_at_red=np.zeros(4, np.bool_),
     )
     prediction: Any = SimpleNamespace(graphs=graphs, slot_probability=np.ones((4, 2)))
     scene: Scene = three
@@ -360,3 +361,5 @@ def test_a_run_in_the_window_is_to_the_byte_the_run_without(
     for part in parts:
         other = tmp_path / "with" / part.relative_to(tmp_path / "without")
         assert part.read_bytes() == other.read_bytes(), part.name
+    graphs.ego_at_red[1] = True
+    assert most_pressed(scene, prediction, "b") == "a"  # b waits at red: it has nothing to choose

@@ -125,7 +125,8 @@ def most_pressed(
         return None
     others = graphs.focus_mask & graphs.node_mask
     others[:, 0] = False
-    chooses = graphs.has_conflict & others.any(axis=1)
+    # At a red light there is nothing to choose, and nobody is advised.
+    chooses = graphs.has_conflict & others.any(axis=1) & ~graphs.ego_at_red
     if view_m is not None:
         at_m, low_m, high_m = scene.xy_m[graphs.ego], np.array(view_m[:2]), np.array(view_m[2:])
         chooses &= ((at_m >= low_m) & (at_m <= high_m)).all(axis=1)
