@@ -134,6 +134,8 @@ def test_who_is_shown_is_in_view_and_who_is_warned_goes_first() -> None:
     assert most_pressed(scene, prediction, "b", (), (-10.0, -10.0, 10.0, 10.0)) == "a"
     assert most_pressed(scene, prediction, "b", {"c"}, (-10.0, -10.0, 60.0, 10.0)) == "b"
     assert most_pressed(scene, prediction, "b", (), (200.0, 0.0, 300.0, 10.0)) is None
+    graphs.ego_at_red[1] = True
+    assert most_pressed(scene, prediction, "b") == "a"  # b waits at red: it has nothing to choose
 
 
 class FakeDomain:
@@ -361,5 +363,3 @@ def test_a_run_in_the_window_is_to_the_byte_the_run_without(
     for part in parts:
         other = tmp_path / "with" / part.relative_to(tmp_path / "without")
         assert part.read_bytes() == other.read_bytes(), part.name
-    graphs.ego_at_red[1] = True
-    assert most_pressed(scene, prediction, "b") == "a"  # b waits at red: it has nothing to choose
