@@ -70,7 +70,7 @@ function start() {
     showPlaying();
   };
   const showPlaying = () => {
-    byId('play').textContent = app.playing ? '\u23f8' : '\u25b6';
+    byId('play').textContent = app.playing ? '\u25ae\u25ae' : '\u25b6';
     byId('play').setAttribute('aria-label', app.playing ? 'Pause' : 'Play');
     panelAt = 0;
     redraw();
