@@ -16,9 +16,14 @@ from conftest import heed_ctrl_c
 
 from hatn_sim.cli import main
 from hatn_sim.commands import compare
+from hatn_sim.config import load_scenario
 from hatn_sim.errors import InputError
+from hatn_sim.evaluation import closed_loop
 from hatn_sim.evaluation import made_by as made_by_module
+from hatn_sim.evaluation.closed_loop import SeedPlan, make_seed, row_path
+from hatn_sim.evaluation.pool import Teller
 from hatn_sim.score.closed_loop import UNITS
+from hatn_sim.score.closed_loop_rows import DrivenEgo, DrivenRow, read_row
 
 SHORT = ["--scenes", "intersection5", "--warm-up", "20", "--duration", "45", "--limit", "40"]
 FAST = ["--agent", "constant_speed", "--predictors", "constant_velocity,idm"]
@@ -91,6 +96,48 @@ def test_drives_are_made_kept_and_added_to(
     assert main(["compare", *SHORT, *words, "--quiet"]) == 2
     told = capsys.readouterr().err
     assert "expected source of hatn_sim of tomorrow, found" in told and told.count("\n") == 1
+
+
+def test_an_agent_that_decides_by_the_scene_alone_drives_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teller, scene = Teller(lambda _: None, lambda: False), load_scenario("intersection5")
+    names = ("constant_velocity", "idm", "constant_acceleration")
+
+    def plan(agent: str, *predictors: str) -> SeedPlan:
+        made_with: dict[str, dict[str, Any]] = {name: {} for name in ("sumo_driver", *predictors)}
+        folder = tmp_path / agent.replace(":", "-")
+        return SeedPlan(
+            "seed 3", folder, scene, 3, agent, predictors, None, 1, 20.0, 45.0, 40.0, made_with
+        )
+
+    def rows(of: SeedPlan) -> list[DrivenRow]:
+        assert make_seed(of, teller).lost == ()
+        return [read_row(row_path(of, name)) for name in of.predictors]
+
+    first, second = rows(plan("idm", *names[:2]))
+    assert first.egos and first.egos == second.egos and first.open_loop != second.open_loop
+    # Driven with the second one, it does drive the same.
+    steps = closed_loop._Steps(teller)
+    alone = [closed_loop._driven(plan("idm", "idm"), "idm", ego, steps) for ego in first.egos]
+    assert alone == list(first.egos)
+
+    drives: list[str] = []
+
+    def driven(plan: SeedPlan, row: str, ego: DrivenEgo, steps: object) -> DrivenEgo:
+        drives.append(row)
+        return ego
+
+    reference = closed_loop._Reference(list(first.egos), {})
+    monkeypatch.setattr(closed_loop, "_reference", lambda *_: reference)
+    monkeypatch.setattr(closed_loop, "_driven", driven)
+    # A predictor that comes later takes the drive that is kept.
+    assert rows(plan("idm", *names))[2].egos == first.egos and not drives
+    rows(plan("ppo", *names))
+    assert drives == [names[0]]
+    # One that reads them drives with each.
+    rows(plan("mpc", *names))
+    assert drives == [names[0], *names]
 
 
 def test_runs_are_the_reference_until_the_agent_acts(
