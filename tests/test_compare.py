@@ -36,6 +36,16 @@ class Agent:
         {what}
         return None, None
 """
+STEADY = """
+from hatn_sim.datatypes import Command
+class Agent:
+    '''Keeps its speed, whatever it is told; nobody knows that before.'''
+    reads_suggestions = False
+    def init(self, road): return None
+    def step(self, state, ego_id, scene, advice):
+        assert ego_id in advice.prediction.ids
+        return None, Command(ego_id, 0.0)
+"""
 ITSELF = "os.kill(os.getpid(), signal.SIGKILL)"
 CHILDREN = "open(f'/proc/{%s}/task/{%s}/children').read().split()"
 ITS_SUMO = (
@@ -156,13 +166,17 @@ def test_runs_are_the_reference_until_the_agent_acts(
 
 
 def test_the_oracle_drives_and_makes_no_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["--agent", "constant_speed", "--predictors", "constant_velocity,oracle"]
-    scores, _ = compared(capsys, *words, "--seeds", "3", "--out", str(tmp_path / "out"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    (tmp_path / "steady.py").write_text(STEADY)
+    words = ["--agent", "steady:Agent", "--predictors", "constant_velocity,oracle"]
+    scores, told = compared(capsys, *words, "--seeds", "3", "--out", str(tmp_path / "out"))
+    assert "reads no predictions" not in told
     assert value(scores, "ade_3s", "oracle", "all") == 0.0
     assert value(scores, "ade_3s", "constant_velocity", "all") > 0.0
-    assert value(scores, "time_to_cross_change", "oracle", "constant_speed") == 0.0
+    assert value(scores, "time_to_cross_change", "oracle", "steady:Agent") == 0.0
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found in /proc")
