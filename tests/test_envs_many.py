@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from short_env import SHORT, make_short
 from test_envs import same
 
 import hatn_sim.envs  # noqa: F401 - registers
@@ -37,7 +38,6 @@ from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_process import _Nursery
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
-SHORT = {"predictor": None, "warm_up_s": 2.0, "scene": "intersection5"}
 STREET = Path(__file__).parent / "nets" / "street.sumocfg"
 MEGABYTES = 2**20
 
@@ -237,10 +237,6 @@ def test_ctrl_c_leaves_no_result_behind(many: Any, monkeypatch: pytest.MonkeyPat
             vector.step(np.zeros((2, 1), np.float32))
     again, _ = vector.reset(seed=3)
     assert all(np.array_equal(first[key], again[key]) for key in first)
-
-
-def make_short() -> gymnasium.Env[Any, Any]:
-    return gymnasium.make("hatn_sim/Scene-v0", **SHORT)
 
 
 @pytest.mark.parametrize("context", ["fork", "spawn"])

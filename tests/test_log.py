@@ -306,7 +306,7 @@ def interrupting(at: int) -> tuple[Callable[..., Any], list[int]]:
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
         if not frame.f_code.co_filename.endswith(
-            ("log/writer.py", "log/parts.py", "whole_file.py")
+            ("log/writer.py", "log/lines_file.py", "log/parts.py", "whole_file.py")
         ):
             return None
         if event == "line":
