@@ -21,6 +21,7 @@ from conftest import heed_ctrl_c
 from hatn_sim import cli
 from hatn_sim.commands import scenarios
 from hatn_sim.commands.rate_text import rate_text
+from hatn_sim.commands.run_simulated import said_of_density
 from hatn_sim.config import load_scenario
 from hatn_sim.datatypes import Frame, Score
 from hatn_sim.log import read_run
@@ -575,8 +576,9 @@ def test_scenarios_lists_every_scene_with_its_card(capsys: pytest.CaptureFixture
 
 
 def test_scenarios_measured_anew_stand_beside_the_card(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(scenarios, "WARM_UP_S", 100.0)  # bounds are wide
     words = ("scenarios", "tjunction", "--measure", "--seeds", "1", "--duration", "30")
     assert code_of(*words, "--json") == 0
     printed = capsys.readouterr()
@@ -611,3 +613,15 @@ def test_doctor_finds_what_the_core_needs(capsys: pytest.CaptureFixture[str]) ->
     assert checks["libsumo"]["found"].startswith("1.28")
     assert code_of("doctor") == code
     assert "SUMO worker" in capsys.readouterr().out
+
+
+def test_a_density_that_is_not_there_yet_is_told() -> None:
+    dense = load_scenario("roundabout8", "dense")  # its card: 81.8 vehicles at once
+    assert said_of_density(dense, 40, 60.0) == (
+        "roundabout8 fills up slowly: after 60 s of warm-up 40 vehicles are there, of about 82 "
+        "later on in dense traffic; for more of them --warm-up 300 or longer"
+    )
+    assert said_of_density(dense, 41, 60.0) is None
+    assert said_of_density(dense, 0, 300.0) is None
+    assert said_of_density(load_scenario("roundabout8"), 8, 60.0) is None
+    assert said_of_density(load_scenario(str(NETS / "street.sumocfg")), 0, 60.0) is None

@@ -16,9 +16,14 @@ from conftest import heed_ctrl_c
 
 from hatn_sim.cli import main
 from hatn_sim.commands import compare
+from hatn_sim.config import load_scenario
 from hatn_sim.errors import InputError
+from hatn_sim.evaluation import closed_loop
 from hatn_sim.evaluation import made_by as made_by_module
+from hatn_sim.evaluation.closed_loop import SeedPlan, make_seed, row_path
+from hatn_sim.evaluation.pool import Teller
 from hatn_sim.score.closed_loop import UNITS
+from hatn_sim.score.closed_loop_rows import DrivenEgo, DrivenRow, read_row
 
 SHORT = ["--scenes", "intersection5", "--warm-up", "20", "--duration", "45", "--limit", "40"]
 FAST = ["--agent", "constant_speed", "--predictors", "constant_velocity,idm"]
@@ -30,6 +35,16 @@ class Agent:
     def step(self, state, ego_id, scene, advice):
         {what}
         return None, None
+"""
+STEADY = """
+from hatn_sim.datatypes import Command
+class Agent:
+    '''Keeps its speed, whatever it is told; nobody knows that before.'''
+    reads_suggestions = False
+    def init(self, road): return None
+    def step(self, state, ego_id, scene, advice):
+        assert ego_id in advice.prediction.ids
+        return None, Command(ego_id, 0.0)
 """
 ITSELF = "os.kill(os.getpid(), signal.SIGKILL)"
 CHILDREN = "open(f'/proc/{%s}/task/{%s}/children').read().split()"
@@ -93,6 +108,48 @@ def test_drives_are_made_kept_and_added_to(
     assert "expected source of hatn_sim of tomorrow, found" in told and told.count("\n") == 1
 
 
+def test_an_agent_that_decides_by_the_scene_alone_drives_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teller, scene = Teller(lambda _: None, lambda: False), load_scenario("intersection5")
+    names = ("constant_velocity", "idm", "constant_acceleration")
+
+    def plan(agent: str, *predictors: str) -> SeedPlan:
+        made_with: dict[str, dict[str, Any]] = {name: {} for name in ("sumo_driver", *predictors)}
+        folder = tmp_path / agent.replace(":", "-")
+        return SeedPlan(
+            "seed 3", folder, scene, 3, agent, predictors, None, 1, 20.0, 45.0, 40.0, made_with
+        )
+
+    def rows(of: SeedPlan) -> list[DrivenRow]:
+        assert make_seed(of, teller).lost == ()
+        return [read_row(row_path(of, name)) for name in of.predictors]
+
+    first, second = rows(plan("idm", *names[:2]))
+    assert first.egos and first.egos == second.egos and first.open_loop != second.open_loop
+    # Driven with the second one, it does drive the same.
+    steps = closed_loop._Steps(teller)
+    alone = [closed_loop._driven(plan("idm", "idm"), "idm", ego, steps) for ego in first.egos]
+    assert alone == list(first.egos)
+
+    drives: list[str] = []
+
+    def driven(plan: SeedPlan, row: str, ego: DrivenEgo, steps: object) -> DrivenEgo:
+        drives.append(row)
+        return ego
+
+    reference = closed_loop._Reference(list(first.egos), {})
+    monkeypatch.setattr(closed_loop, "_reference", lambda *_: reference)
+    monkeypatch.setattr(closed_loop, "_driven", driven)
+    # A predictor that comes later takes the drive that is kept.
+    assert rows(plan("idm", *names))[2].egos == first.egos and not drives
+    rows(plan("ppo", *names))
+    assert drives == [names[0]]
+    # One that reads them drives with each.
+    rows(plan("mpc", *names))
+    assert drives == [names[0], *names]
+
+
 def test_runs_are_the_reference_until_the_agent_acts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,13 +166,17 @@ def test_runs_are_the_reference_until_the_agent_acts(
 
 
 def test_the_oracle_drives_and_makes_no_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["--agent", "constant_speed", "--predictors", "constant_velocity,oracle"]
-    scores, _ = compared(capsys, *words, "--seeds", "3", "--out", str(tmp_path / "out"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    (tmp_path / "steady.py").write_text(STEADY)
+    words = ["--agent", "steady:Agent", "--predictors", "constant_velocity,oracle"]
+    scores, told = compared(capsys, *words, "--seeds", "3", "--out", str(tmp_path / "out"))
+    assert "reads no predictions" not in told
     assert value(scores, "ade_3s", "oracle", "all") == 0.0
     assert value(scores, "ade_3s", "constant_velocity", "all") > 0.0
-    assert value(scores, "time_to_cross_change", "oracle", "constant_speed") == 0.0
+    assert value(scores, "time_to_cross_change", "oracle", "steady:Agent") == 0.0
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found in /proc")

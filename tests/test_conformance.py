@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from hatn_sim import cli
 from hatn_sim.conformance.agents import check_agent
 from hatn_sim.conformance.points import Point
 from hatn_sim.conformance.predictors import check_predictor
-from hatn_sim.conformance.scenes import Footage, film
+from hatn_sim.conformance.scenes import GONE, Footage, film
 from hatn_sim.errors import InputError
 from hatn_sim.plugins import load_agent
 from hatn_sim.predictors.constant_velocity import ConstantVelocity
@@ -132,7 +133,9 @@ def test_a_scene_that_ends_too_soon_is_not_waited_for(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def footage() -> Footage:
-    return film("tjunction")
+    """As much as it takes for a vehicle to be out of sight and back; `film` takes 4 s."""
+    whole = film("tjunction")
+    return replace(whole, frames=whole.frames[: GONE[1] + 6])
 
 
 @pytest.fixture

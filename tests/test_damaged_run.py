@@ -8,7 +8,7 @@ import json
 import re
 import shutil
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
@@ -19,24 +19,26 @@ from test_export import driving, log
 
 from hatn_sim.cli import main
 from hatn_sim.errors import InputError
-from hatn_sim.log import Part, read_run
+from hatn_sim.log import PART_FRAMES, Part, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.recordings.fcd.export import export_fcd
 
 PART = "part-00000.parquet"
+FRAMES = 90
+"""As many as it takes to judge the alert: 5 s after its beginning."""
 VITAL = {"run.json", f"tracks/{PART}", f"frames/{PART}"}
 """Without these there is no run."""
 LOST = {
     "suggestions.jsonl": "advice is left out",
     "alerts.jsonl": "alerts are left out",
     "truth/events.jsonl": "collisions, emergency braking and teleports are left out",
-    "truth/routes.jsonl": "",  # lines were inferred
-    f"truth/{PART}": "",
+    "truth/routes.jsonl": "the routes that were driven are left out",
+    f"truth/{PART}": "the routes that were driven are left out",
     f"predictions/made_up/{PART}": "predictions are left out",
     ROAD_FILE: "the road and slots are left out",
     "scores.json": "scores are left out",
 }
-"""What `report` says of every other file."""
+"""What `report` says of every other file, at the console and on the page."""
 CUT = {"suggestions.jsonl", "alerts.jsonl", "truth/events.jsonl"}
 """Files of lines: what stands before the cut is shown."""
 
@@ -53,16 +55,17 @@ HURT: dict[str, Callable[[Path], None]] = {"lost": Path.unlink, "half": half, "e
 COMMANDS = {
     "report": ("report", "--no-animation"),
     "figures": ("figures", "--only", "moment", "--formats", "svg"),
-    "animate": ("animate", "--from", "102.5", "--to", "102.7", "--quiet"),
+    "animate": ("animate", "--from", "102.5", "--to", "102.55", "--quiet"),
     "fcd": ("export", "--format", "fcd"),
     "interaction": ("export", "--format", "interaction"),
     "score": ("score",),
 }
+DRAWN = {"figures", "animate"}
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run = made_up_run(tmp_path_factory.mktemp("sound") / "run")
+    run = made_up_run(tmp_path_factory.mktemp("sound") / "run", FRAMES)
     (run / "scores.json").write_text("[]\n")
     return run
 
@@ -88,13 +91,27 @@ def test_no_file_is_forgotten(sound: Path) -> None:
     assert files == VITAL | LOST.keys()
 
 
-@pytest.mark.parametrize("how", ["lost", "half", pytest.param("empty", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("how", "commands"),
+    [
+        ("lost", COMMANDS.keys()),
+        ("half", COMMANDS.keys() - DRAWN),  # all pictures are drawn of what `report` reads, too
+        pytest.param("half", DRAWN, marks=pytest.mark.slow),
+        pytest.param("empty", COMMANDS.keys(), marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("file", sorted(VITAL | LOST.keys()))
 def test_whatever_is_hurt_is_one_plain_line(
-    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, how: str
+    sound: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    file: str,
+    how: str,
+    commands: Collection[str],
 ) -> None:
     run = hurt(sound, tmp_path, file, how)
-    for name, (command, *words) in COMMANDS.items():
+    for name in sorted(commands):
+        command, *words = COMMANDS[name]
         out = tmp_path / name
         target = {"animate": ("--out", str(out / "film.gif")), "score": ()}
         status = main([command, str(run), *words, *target.get(name, ("--out", str(out)))])
@@ -111,22 +128,10 @@ def test_whatever_is_hurt_is_one_plain_line(
         # Without predictions the picture has a line of its own: why there is none.
         assert len(told) <= 1 + file.startswith("predictions"), told
         assert all(one.startswith("hatn-sim: ") and one.count(str(run)) == 1 for one in told), told
-
-
-@pytest.mark.parametrize("file", sorted(LOST))
-def test_a_lost_file_is_told_at_the_console_and_on_the_page(
-    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str
-) -> None:
-    run = hurt(sound, tmp_path, file, "lost")
-    assert main(["report", str(run), "--no-animation"]) == 0
-    told = capsys.readouterr().err.splitlines()
-    shown = notices(run / "report.html")
-    if not LOST[file]:
-        assert not told and not shown
-        return
-    where = f"{Path(file).parent}/" if file.startswith("predictions") else file
-    assert told[0] == f"hatn-sim: {run}: {where} is missing: {LOST[file]}"
-    assert shown == [f"{where} is missing: {LOST[file]}."]
+        if name == "report" and how == "lost" and file in LOST:
+            where = f"{Path(file).parent}/" if file.startswith("predictions") else file
+            assert told[0] == f"hatn-sim: {run}: {where} is missing: {LOST[file]}"
+            assert notices(out / "report.html") == [f"{where} is missing: {LOST[file]}."]
 
 
 @pytest.mark.parametrize("finished", [True, False])
@@ -176,6 +181,120 @@ def test_lines_of_frames_that_a_kill_took_back_do_not_count(tmp_path: Path) -> N
         file.write(json.dumps({**line, "frame": 9999, "ego_id": "nobody"}) + "\n")
     assert len(read_run(run, whole=False).alerts) == len(read_run(run).alerts) - 1
     assert main(["report", str(run), "--no-animation"]) == 0
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_without_frames_there_is_no_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], finished: bool
+) -> None:
+    run = made_up_run(tmp_path / "run", finished=finished)
+    shutil.rmtree(run / "frames")
+    for command in ("report", "figures", "animate", "score"):
+        assert main([command, str(run)]) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(f"hatn-sim: {run}: expected 150 frames, found 0; "), told
+
+
+def killed(run: Path) -> Path:
+    """As it is left where nobody could close it: the head is that of the last part."""
+    head = json.loads((run / "run.json").read_text())
+    del head["line_counts"]
+    (run / "run.json").write_text(json.dumps(head))
+    return run
+
+
+def without_last_line(path: Path) -> int:
+    """How many are left."""
+    *lines, _ = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines))
+    return len(lines)
+
+
+@pytest.mark.parametrize("finished", [True, False])
+@pytest.mark.parametrize("file", ["suggestions.jsonl", "alerts.jsonl", "truth/events.jsonl"])
+def test_whole_lines_lost_at_the_end_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, finished: bool
+) -> None:
+    run = made_up_run(tmp_path / "run", finished=finished)
+    assert not [gap for gap in read_run(run, whole=False).gaps if gap.file != "scores.json"]
+    left = without_last_line(run / file)
+    found = f"{file} is cut off after {left} of {left + 1} lines"
+    told = [str(gap) for gap in read_run(run, whole=False).gaps]
+    assert f"{found}: what followed is left out" in told
+    assert main(["score", str(run)]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1] == f"hatn-sim: {run}: {found}: alerts and suggestions are not scored"
+    read = {"suggestions.jsonl": "suggestions", "alerts.jsonl": "alerts"}.get(file, "events")
+    assert len(getattr(read_run(run, whole=False), read)) == left
+    with pytest.raises(InputError, match=rf"{file}: expected {left + 1} lines, found {left}; "):
+        getattr(read_run(run), read)
+
+
+def test_a_run_that_was_not_closed_has_no_counts(tmp_path: Path) -> None:
+    run = made_up_run(tmp_path / "run", finished=False)
+    head = json.loads((run / "run.json").read_text())
+    # Two cars, of whom one is advised once; an onset, a peak and an end; a collision; no routes.
+    assert head["line_counts"] == {
+        "suggestions.jsonl": 1,
+        "alerts.jsonl": 3,
+        "truth/events.jsonl": 1,
+        "truth/routes.jsonl": 0,
+    }
+    without_last_line(killed(run) / "alerts.jsonl")
+    assert {gap.file for gap in read_run(run, whole=False).gaps} == {"scores.json"}
+    assert len(read_run(run).alerts) == 2
+
+
+@pytest.mark.parametrize("counts", [[], {"alerts.jsonl": "3"}, {"alerts.jsonl": True}])
+def test_counts_that_are_none_are_damage(tmp_path: Path, counts: object) -> None:
+    run = made_up_run(tmp_path / "run")
+    head = json.loads((run / "run.json").read_text()) | {"line_counts": counts}
+    (run / "run.json").write_text(json.dumps(head))
+    with pytest.raises(InputError, match="expected the head of a run's log, found damage"):
+        read_run(run)
+
+
+def test_of_predictions_in_parts_the_others_are_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = made_up_run(tmp_path / "run", frames=PART_FRAMES + 50)
+    (run / "scores.json").write_text("[]\n")
+    every = read_run(run).predictions("made_up").frame
+    assert set(every.tolist()) == set(range(PART_FRAMES + 50))
+    for part, lost in ((0, PART_FRAMES), (1, 50)):
+        hurt_run = tmp_path / f"without-{part}"
+        shutil.copytree(run, hurt_run)
+        name = f"predictions/made_up/part-{part:05d}.parquet"
+        (hurt_run / name).unlink()
+        expected = f"{name} is missing: predictions of {lost} of 350 frames are left out"
+        found = read_run(hurt_run, whole=False)
+        assert [str(gap) for gap in found.gaps] == [expected]
+        left = found.predictions("made_up").frame
+        assert np.array_equal(left, every[every // PART_FRAMES != part])
+        assert main(["score", "--json", str(hurt_run)]) == 0
+        said = capsys.readouterr()
+        assert said.err == f"hatn-sim: {hurt_run}: {expected}\n"
+        scores = json.loads(said.out)
+        assert {tuple(one["left_out"]) for one in scores} == {(f"{hurt_run}: {expected}",)}
+        assert {one["n"] for one in scores if one["measure"] == "ade_3s"} != {0}
+
+
+def test_half_a_line_that_a_kill_left_is_told_by_score_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = killed(made_up_run(tmp_path / "run", finished=False))
+    with (run / "suggestions.jsonl").open("a") as file:
+        file.write('{"frame": 40, "ego')
+    assert main(["score", "--json", str(run)]) == 0
+    said = capsys.readouterr()
+    lines = [
+        f"{run} is of an unfinished run: its first 15.0 s were written",
+        f"{run}: suggestions.jsonl ends in half a line: what followed is left out",
+    ]
+    assert said.err.splitlines() == [f"hatn-sim: {line}" for line in lines]
+    scores = json.loads(said.out)
+    assert all(one["left_out"] == lines for one in scores)
+    assert "event_recall" in {one["measure"] for one in scores}
 
 
 def test_lines_along_lost_routes_are_not_guessed(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from hatn_sim import cli
 from hatn_sim.commands.run_names import check_routes
 from hatn_sim.config import load_scenario
-from hatn_sim.errors import InputError, nearest
+from hatn_sim.errors import InputError, nearest, nearest_vehicle
 from hatn_sim.log import Run, read_run
 from hatn_sim.resources import find_scenarios
 
@@ -161,3 +161,12 @@ def test_of_thousands_of_names_some_are_told() -> None:
     known = [f"{k:04}" for k in range(3000)]
     assert nearest("x", known[:20]) == "; known: " + ", ".join(known[:20])
     assert nearest("x", known) == "; known: " + ", ".join(known[:40]) + " and 2,960 more"
+
+
+def test_of_vehicles_the_few_nearest_are_told() -> None:
+    ids = [f"car{k}" for k in range(40)]
+    assert nearest_vehicle("car77", ids) == nearest("car77", ids) != ""
+    assert nearest_vehicle("x", ["b", "a"]) == "; known: a, b"
+    # "ody" is shared with one, nothing with all others, of whom the last come first.
+    told = nearest_vehicle("nobody", [*ids, "ody.......x"])
+    assert told == "; known: ody.......x, car9, car8, car7, car6 and 36 more"

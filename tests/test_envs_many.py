@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from short_env import SHORT, make_short
 from test_envs import same
 
 import hatn_sim.envs  # noqa: F401 - registers
@@ -37,7 +38,6 @@ from hatn_sim.simulators.sumo import SumoSimulator
 from hatn_sim.simulators.sumo_process import _Nursery
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
-SHORT = {"predictor": None, "warm_up_s": 2.0, "scene": "intersection5"}
 STREET = Path(__file__).parent / "nets" / "street.sumocfg"
 MEGABYTES = 2**20
 
@@ -164,7 +164,7 @@ def test_side_by_side_as_one_by_one(predictor: str | None, near: float, many: An
         "scene": "intersection5",
         "predictor": predictor,
         "warm_up_s": 20.0,
-        "duration_s": 4.0,
+        "duration_s": 2.0,
     }
     if predictor is not None:
         options["masked_action"] = "yield"
@@ -175,8 +175,8 @@ def test_side_by_side_as_one_by_one(predictor: str | None, near: float, many: An
         alone, _ = single.reset(seed=5 + k)
         assert all(np.array_equal(told[key][k], alone[key]) for key in alone)
     is_over = [False] * 3
-    for number in range(12):
-        slots = np.array([(number // 4 + k) % 3 for k in range(3)])
+    for number in range(7):
+        slots = np.array([(number // 2 + k) % 3 for k in range(3)])
         action = np.sin(slots)[:, None].astype(np.float32) if predictor is None else slots
         told, rewards, ends, cuts, info = vector.step(action)
         for k, single in enumerate(singles):
@@ -237,10 +237,6 @@ def test_ctrl_c_leaves_no_result_behind(many: Any, monkeypatch: pytest.MonkeyPat
             vector.step(np.zeros((2, 1), np.float32))
     again, _ = vector.reset(seed=3)
     assert all(np.array_equal(first[key], again[key]) for key in first)
-
-
-def make_short() -> gymnasium.Env[Any, Any]:
-    return gymnasium.make("hatn_sim/Scene-v0", **SHORT)
 
 
 @pytest.mark.parametrize("context", ["fork", "spawn"])

@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import heed_ctrl_c
+from pool_work import die, double, wait_for_others
 
 from hatn_sim import cli
 from hatn_sim.commands.chosen_predictors import load_predictors
 from hatn_sim.datatypes import HORIZON_FRAMES
 from hatn_sim.errors import HatnSimError, InputError
-from hatn_sim.evaluation.pool import Stopped, Teller, work_on
+from hatn_sim.evaluation.pool import work_on
 from hatn_sim.log import read_run
 from hatn_sim.predictors.find import weights_of
 from hatn_sim.resources import scenarios_dir, weights_dir
@@ -289,34 +290,6 @@ def test_ctrl_c_leaves_what_is_there(here: Path) -> None:
 
 # ---------------------------------------------------------------------------------------------
 # Work side by side
-
-
-def double(item: int, teller: Teller) -> int:
-    teller.tell(item)
-    if item == 13:
-        raise InputError("thirteen")
-    return 2 * item
-
-
-def die(item: int, teller: Teller) -> int:
-    os.kill(os.getpid(), signal.SIGKILL)
-    return item
-
-
-def wait_for_others(item: int, teller: Teller) -> int:
-    if item == 0:
-        Path("begun").touch()
-    while not Path("begun").exists():
-        time.sleep(0.01)
-    if item == 1:
-        raise InputError("one")
-    try:
-        while True:
-            teller.tell(1)
-            time.sleep(0.01)
-    except Stopped:
-        Path("stopped").touch()
-        raise
 
 
 @pytest.mark.parametrize("workers", [1, 2])

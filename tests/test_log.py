@@ -306,7 +306,7 @@ def interrupting(at: int) -> tuple[Callable[..., Any], list[int]]:
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
         if not frame.f_code.co_filename.endswith(
-            ("log/writer.py", "log/parts.py", "whole_file.py")
+            ("log/writer.py", "log/lines_file.py", "log/parts.py", "whole_file.py")
         ):
             return None
         if event == "line":
@@ -318,8 +318,9 @@ def interrupting(at: int) -> tuple[Callable[..., Any], list[int]]:
     return trace, seen
 
 
+@pytest.mark.parametrize("every", [17, pytest.param(1, marks=pytest.mark.slow)])
 def test_wherever_a_run_is_interrupted_what_counts_is_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: int
 ) -> None:
     """Also where it is being closed, so that nothing that was held is lost, and nothing empty
     stays."""
@@ -342,7 +343,7 @@ def test_wherever_a_run_is_interrupted_what_counts_is_whole(
     lines = make(tmp_path / "whole", 0)
     assert lines > 400
     counts: list[int] = []
-    for at in range(1, lines, 7):
+    for at in range(1, lines, every):
         out = tmp_path / str(at)
         with pytest.raises(KeyboardInterrupt):
             make(out, at)

@@ -313,6 +313,7 @@ class Stopping(Nobody):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow  # `test_learn` resumes trainings; of a choice, what is lost is told here
 def test_a_training_on_recordings_keeps_its_choice(
     tmp_path: Path, split: Split, fitted: SiteChoice | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -376,7 +377,7 @@ def test_who_is_driven_or_advised_is_not_adapted(
 ) -> None:
     path = tmp_path / "w.safetensors"
     save_weights(path, *networks, {})
-    words = ["run", "highway_intersection", "--duration", "3", "--warm-up", "0", "--quiet"]
+    words = ["run", "highway_intersection", "--duration", "2.2", "--warm-up", "0", "--quiet"]
     words += ["--weights", str(path), "--adapt", "mekf", "--no-picture", "--out", "run", *who]
     assert cli.main(words) == 0
     logged = read_run(Path("run"))

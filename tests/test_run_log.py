@@ -59,6 +59,9 @@ def log_a_run(
     return seen
 
 
+ADVISED_BY = ("hatn", "idm")
+
+
 def simulated(out: Path, predictors: Sequence[str], egos: frozenset[str] | None) -> list[Frame]:
     scenario = load_scenario("roundabout8", density="dense", risk="inattentive")
     with SumoSimulator(scenario) as simulator:
@@ -80,18 +83,27 @@ def short_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(schema, "PART_FRAMES", 50)
 
 
+@pytest.fixture(scope="module")
+def all_told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Frame]]:
+    """A run in which everybody is told, and its frames."""
+    folder = tmp_path_factory.mktemp("all") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schema, "PART_FRAMES", 50)
+        return folder, simulated(folder, ADVISED_BY, None)
+
+
 @pytest.mark.parametrize("some_egos_only", [False, True])
 def test_replayed_with_the_same_egos_the_advice_is_the_same_line_for_line(
-    tmp_path: Path, some_egos_only: bool
+    all_told: tuple[Path, list[Frame]], tmp_path: Path, some_egos_only: bool
 ) -> None:
-    predictors, egos = ("hatn", "idm"), None
-    frames = simulated(tmp_path / "run", predictors, egos)
+    predictors, egos = ADVISED_BY, None
+    log, frames = all_told
     if some_egos_only:
-        alerted = {alert.ego_id for _, alert in read_run(tmp_path / "run").alerts}
+        alerted = {alert.ego_id for _, alert in read_run(log).alerts}
         egos = frozenset(alerted | {frames[0].scene.ids[0]})
-        assert len(egos) < len(read_run(tmp_path / "run").ids)
-        simulated(tmp_path / "some", predictors, egos)
-    log = tmp_path / ("some" if some_egos_only else "run")
+        assert len(egos) < len(read_run(log).ids)
+        log = tmp_path / "some"
+        simulated(log, predictors, egos)
     replayed(log, tmp_path / "again", predictors, egos)
 
     for name in EVENT_FILES:

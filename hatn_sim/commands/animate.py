@@ -110,13 +110,13 @@ def _stretch(run: Run, arguments: argparse.Namespace) -> Stretch:
     """What is shown. InputError where there is no such time or vehicle."""
     import numpy as np
 
-    from hatn_sim.errors import InputError, nearest
+    from hatn_sim.errors import InputError, nearest_vehicle
     from hatn_sim.report.animation import Stretch, around
     from hatn_sim.report.choice import choose_moment
 
     ego_id: str | None = arguments.ego
     if ego_id is not None and ego_id not in run.ids:
-        raise InputError(f"{run.path}: no vehicle {ego_id!r}{nearest(ego_id, run.ids)}")
+        raise InputError(f"{run.path}: no vehicle {ego_id!r}{nearest_vehicle(ego_id, run.ids)}")
     if not run.frame_count:
         raise InputError(f"{run.path}: expected frames, found a run without any")
     follow, speed = ego_id is not None, arguments.speed

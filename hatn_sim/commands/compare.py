@@ -6,8 +6,8 @@ and pass within 3 s of somebody else; and in it the errors of all predictors are
 loop. Then --agent drives each of these vehicles, one at a time, once with each predictor. Until it
 comes on the road each of these runs is the reference to the last bit: all differences are paired.
 
-An agent that reads no predictions, such as idm, drives the same with each of --predictors; a line
-says so, and one of them is enough to compare such an agent with `sumo_driver`.
+An agent that reads no predictions, such as idm, drives the same with each of --predictors: it
+drives once, and a line says so. One of them is enough to compare such an agent with `sumo_driver`.
 
 The first of --predictors is the baseline. `oracle` is told the future, by a branch of the very
 simulation in which the vehicle goes on at its speed. The row `sumo_driver` is the simulator's own
@@ -169,15 +169,16 @@ def main(arguments: argparse.Namespace) -> int:
 
 def _tell_unread(arguments: argparse.Namespace) -> None:
     """Where predictors are compared by an agent that drives the same with each of them."""
-    from hatn_sim.plugins import load_agent
+    from hatn_sim.evaluation.closed_loop import drives_alike
 
     several = len(dict.fromkeys(arguments.predictors)) > 1
     if arguments.quiet or not several:
         return
-    if not getattr(load_agent(arguments.agent), "reads_predictions", True):
+    if drives_alike(arguments.agent):
         print(
             f"hatn-sim: {arguments.agent} reads no predictions: it drives the same with each of "
-            "--predictors, so their rows are equal but for the errors of the predictions",
+            "--predictors, so it drives once, and their rows are equal but for the errors of the "
+            "predictions",
             file=sys.stderr,
         )
 

@@ -213,7 +213,7 @@ def main(arguments: argparse.Namespace) -> int:
                 where = f"; the log up to here is in {out}"
                 write_road(out / ROAD_FILE, simulator.road.lanes.values())
                 write_run_choice(out, predictors[0], choice)
-                done = simulate(arguments, simulator, first, predictors, drivers, writer)
+                done = simulate(arguments, scenario, simulator, first, predictors, drivers, writer)
                 timing = {"before_s": done.began - started, "simulated_s": done.seconds}
                 writer.close(timing=timing | {"frames": done.frames})
         return finish(arguments, out, done, started, seen)

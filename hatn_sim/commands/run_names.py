@@ -39,7 +39,7 @@ def check_routes(arguments: argparse.Namespace, scenario: Scenario) -> None:
     alone; so are persons, whom a window may follow.
     """
     from hatn_sim.datatypes import PEDESTRIAN_PREFIX
-    from hatn_sim.errors import InputError, nearest
+    from hatn_sim.errors import InputError, nearest_vehicle
     from hatn_sim.simulators.sumo_demand import coming
 
     known = coming(scenario)
@@ -49,13 +49,13 @@ def check_routes(arguments: argparse.Namespace, scenario: Scenario) -> None:
         if known is not None and not known[0](name):
             raise InputError(
                 f"{option}: no vehicle called {name!r} is in the route files of "
-                f"{scenario.name}{nearest(name, known[1])}"
+                f"{scenario.name}{nearest_vehicle(name, known[1])}"
             )
 
 
 def check_recording(arguments: argparse.Namespace, simulator: Simulator) -> None:
     """Raises InputError for a name that is not in the recording, if one is replayed."""
-    from hatn_sim.errors import InputError, nearest
+    from hatn_sim.errors import InputError, nearest_vehicle
     from hatn_sim.simulators.recorded import RecordedSimulator
     from hatn_sim.simulators.sumo_replay.simulator import SumoReplay
 
@@ -73,7 +73,7 @@ def check_recording(arguments: argparse.Namespace, simulator: Simulator) -> None
         if name in missing:
             raise InputError(
                 f"{option}: no vehicle called {name!r} is in {simulator.name}"
-                f"{nearest(name, recorded)}"
+                f"{nearest_vehicle(name, recorded)}"
             )
 
 

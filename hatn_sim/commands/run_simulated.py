@@ -6,18 +6,25 @@ import argparse
 import sys
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+
+from hatn_sim.commands.scenarios import WARM_UP_S as CARD_WARM_UP_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from hatn_sim.assist.settings import AssistSettings
+    from hatn_sim.config import Scenario
     from hatn_sim.datatypes import Advice, Frame, Predictor, Simulator
     from hatn_sim.log import RunWriter
     from hatn_sim.loop import Driver
     from hatn_sim.report.window import Window
     from hatn_sim.score.what_if import WhatIf
     from hatn_sim.simulators.sumo_replay.figures import Divergence, Fidelity
+
+
+FEW: Final = 0.5
+"""Of the vehicles that a density stands for."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,7 @@ class Simulated:
 
 def simulate(
     arguments: argparse.Namespace,
+    scenario: Scenario,
     simulator: Simulator,
     frame: Frame,
     predictors: Sequence[Predictor],
@@ -48,6 +56,9 @@ def simulate(
     settings: AssistSettings = arguments.assist
     advisers = [Adviser(predictor, arguments.lines, egos, settings) for predictor in predictors]
     frame = warm_up(simulator, frame, round(arguments.warm_up / simulator.dt_s))
+    thin = said_of_density(scenario, len(frame.scene.ids), arguments.warm_up)
+    if thin is not None and arguments.density is not None and not arguments.quiet:
+        print(f"hatn-sim: {thin}", file=sys.stderr)
     duration_s: float | None = arguments.duration
     total = None if duration_s is None else max(1, round(duration_s / simulator.dt_s))
     began = time.monotonic()
@@ -79,6 +90,22 @@ def simulate(
     if isinstance(simulator, SumoReplay):
         replay = simulator.fidelity, simulator.divergence
     return Simulated(frames, began, seconds, replay)
+
+
+def said_of_density(scenario: Scenario, vehicles: int, warm_up_s: float) -> str | None:
+    """Where a run begins with far fewer vehicles than its density stands for.
+
+    What that is, the scene's card tells: a mean over minutes, after `CARD_WARM_UP_S`.
+    """
+    card = scenario.card.get("density", {}).get(scenario.density, {})
+    usual = card.get("vehicles_at_once", 0.0)
+    if vehicles >= FEW * usual or warm_up_s >= CARD_WARM_UP_S:
+        return None
+    return (
+        f"{scenario.name} fills up slowly: after {warm_up_s:g} s of warm-up {vehicles} vehicles "
+        f"are there, of about {usual:.0f} later on in {scenario.density} traffic; for more of them "
+        f"--warm-up {CARD_WARM_UP_S:g} or longer"
+    )
 
 
 def _window(arguments: argparse.Namespace, simulator: Simulator) -> Window | None:

@@ -2,24 +2,27 @@
 
 Several runs of a scene are pooled; from five runs on, or five recordings or cases in them, the
 intervals are over these instead of over vehicles. Alerts and suggestions are scored as well, by
-what really happened in the runs, with intervals over runs.
+what really happened in the runs, with intervals over runs. With --json, scores of runs that lack
+something have a key `left_out` with the lines that say what.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from hatn_sim.log import Run
+    from hatn_sim.log import Gap, Run
 
 EXAMPLES = """examples:
   hatn-sim score runs/intersection5-1
   hatn-sim score runs/intersection5-* --json
 """
+NOT_SCORED: Final = "alerts and suggestions are not scored"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,18 +35,21 @@ def main(arguments: argparse.Namespace) -> int:
     """Score and print."""
 
     from hatn_sim.commands.console import make_console
-    from hatn_sim.commands.reading import read_and_tell
-    from hatn_sim.log import Part
+    from hatn_sim.log import read_run
     from hatn_sim.report.assistance_table import assistance_table
     from hatn_sim.report.table import score_table, scores_json
     from hatn_sim.score.logged import assistance_scores
     from hatn_sim.score.prediction import score_runs
     from hatn_sim.score.samples import clustered_over
 
-    runs = [read_and_tell(path, {Part.PREDICTIONS}) for path in arguments.runs]
-    scores, assistance = score_runs(runs), assistance_scores(_with_all_advice(runs))
+    runs = [read_run(path, whole=False) for path in arguments.runs]
+    left_out = [line for run in runs for line in _left_out(run)]
+    for line in left_out:
+        print(f"hatn-sim: {line}", file=sys.stderr)
+    scores = score_runs(runs)
+    assistance = assistance_scores([run for run in runs if not _lost_advice(run)])
     if arguments.json:
-        print(scores_json([*scores, *assistance]))
+        print(_saying(left_out, scores_json([*scores, *assistance])))
         return 0
     make_console().print(score_table(scores, clustered_over(runs)))
     if assistance:
@@ -51,18 +57,31 @@ def main(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _with_all_advice(runs: Sequence[Run]) -> list[Run]:
-    """Runs that lack nothing of what was advised and what befell; the others are told."""
+def _left_out(run: Run) -> list[str]:
+    """A line for each thing that a run lacks."""
+    from hatn_sim.commands.reading import said_of
     from hatn_sim.log import Part
 
-    judged = {Part.ADVICE, Part.ALERTS, Part.EVENTS}
-    kept: list[Run] = []
-    for run in runs:
-        # Of an unfinished run nobody expects the end.
-        lacks = [gap for gap in run.gaps if gap.part in judged and (gap.is_gone or run.finished)]
-        for gap in lacks:
-            what = f"{gap.file} {gap.found}: alerts and suggestions are not scored"
-            print(f"hatn-sim: {run.path}: {what}", file=sys.stderr)
-        if not lacks:
-            kept.append(run)
-    return kept
+    lost = [f"{gap.file} {gap.found}: {NOT_SCORED}" for gap in _lost_advice(run)]
+    cut = [str(gap) for gap in _gaps_of_advice(run) if gap.by_kill]
+    said = said_of(run, {Part.PREDICTIONS, Part.TRUE_ROUTES})
+    return said + [f"{run.path}: {line}" for line in (*lost, *cut)]
+
+
+def _lost_advice(run: Run) -> list[Gap]:
+    """What is lost of what was advised and what befell; of a killed run nobody expects the end."""
+    return [gap for gap in _gaps_of_advice(run) if not gap.by_kill]
+
+
+def _gaps_of_advice(run: Run) -> list[Gap]:
+    from hatn_sim.log import Part
+
+    return [gap for gap in run.gaps if gap.part in (Part.ADVICE, Part.ALERTS, Part.EVENTS)]
+
+
+def _saying(left_out: Sequence[str], scores: str) -> str:
+    """JSON of scores, in which each says what was left out, if anything was."""
+    if not left_out:
+        return scores
+    rows = [{**row, "left_out": left_out} for row in json.loads(scores)]
+    return json.dumps(rows, indent=2, allow_nan=False)

@@ -126,10 +126,12 @@ def make_seed(plan: SeedPlan, teller: Teller) -> SeedMade:
             reference = _reference(plan, simulator, missing, steps)
         _keep(plan, REFERENCE, reference.egos, ())
         lost: list[str] = []
+        egos = _same_drives(plan, missing)
         for row in missing:
             if row != REFERENCE:
                 try:
-                    egos = [_driven(plan, row, ego, steps) for ego in reference.egos]
+                    if egos is None or not drives_alike(plan.agent):
+                        egos = tuple(_driven(plan, row, ego, steps) for ego in reference.egos)
                 except SimulatorError as error:
                     lost.append(f"{plan.label}, {row}: lost: {error}")
                 else:
@@ -139,6 +141,21 @@ def make_seed(plan: SeedPlan, teller: Teller) -> SeedMade:
         return SeedMade(steps.done, (f"{plan.label}: lost: {error}",))
     except HatnSimError as error:
         raise type(error)(f"{plan.label}: {error}") from None
+
+
+def drives_alike(agent: str) -> bool:
+    """Whether an agent decides by the scene alone, and so drives the same with each predictor."""
+    loaded = load_agent(agent)
+    reads_predictions = getattr(loaded, "reads_predictions", True)
+    return not reads_predictions and not getattr(loaded, "reads_suggestions", False)
+
+
+def _same_drives(plan: SeedPlan, missing: Sequence[str]) -> tuple[DrivenEgo, ...] | None:
+    """Those of a row that is there already, of an agent that drives alike."""
+    there = [row for row in plan.predictors if row not in missing]
+    if not there or not drives_alike(plan.agent):
+        return None
+    return read_row(row_path(plan, there[0])).egos
 
 
 def _keep(

@@ -43,8 +43,9 @@ def frozen_sgn(
     with warnings.catch_warnings():
         # Deprecated in favour of a compiler that a user's machine may not have.
         warnings.simplefilter("ignore")
+        # Tests hold it against the network; to trace it again and compare takes most of the time.
         program = torch.jit.freeze(
-            torch.jit.trace(_AsTuples(_with_columns(network)).eval(), example)
+            torch.jit.trace(_AsTuples(_with_columns(network)).eval(), example, check_trace=False)
         )
 
     def predict(batch: GraphBatch, repeats: Repeats | None = None) -> Intention:

@@ -2,7 +2,7 @@
 
 | file | holds |
 |---|---|
-| `run.json` | schema version, what the run was made of, whether it finished |
+| `run.json` | schema version, what the run was made of, whether it finished, counts of lines |
 | `timing.json` | the wall clock; all else is byte for byte the same between two equal runs |
 | `suggestions.jsonl`, `alerts.jsonl` | one line per change, written as it happens |
 | `counterfactuals.jsonl` | what branches of the run said of a sample of these; if asked for |

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from hatn_sim.errors import InputError
 from hatn_sim.log import schema
@@ -24,6 +24,7 @@ class Part(Enum):
     ALERTS = "alerts are left out"
     EVENTS = "collisions, emergency braking and teleports are left out"
     ROUTES = "the routes that lines followed, and with them slots, are left out"
+    TRUE_ROUTES = "the routes that were driven are left out"
     PREDICTIONS = "predictions are left out"
     ROAD = "the road and slots are left out"
     CHOICE = "slots are left out"
@@ -50,54 +51,87 @@ class Gap:
     found: str  # what is amiss with it
     part: Part
     is_gone: bool = True  # nothing of it can be read; else all but its end
+    by_kill: bool = False  # its end was being written when the run was killed
+    lost_frames: tuple[int, int] | None = None  # how many of how many; None: of all
 
     def __str__(self) -> str:
+        if self.lost_frames is not None:
+            lost, frames = self.lost_frames
+            what = f"{self.part.name.lower()} of {lost} of {frames} frames are left out"
+            return f"{self.file} {self.found}: {what}"
         if self.is_gone:
             return f"{self.file} {self.found}: {self.part.value}"
         return f"{self.file} {self.found}: what followed is left out"
 
 
 def find_gaps(
-    path: Path, parts: int, predictors: Sequence[str], *, by_route: bool, finished: bool
+    path: Path,
+    header: Mapping[str, Any],
+    frames: int,
+    parts: int,
+    predictors: Sequence[str],
+    *,
+    by_route: bool,
 ) -> tuple[Gap, ...]:
     """What a run lacks that can be done without; tracks and frames cannot.
 
     Args:
         path: the run's folder.
+        header: what `run.json` says.
+        frames: how many are there.
         parts: how many there are of `frames/`.
         predictors: the main one first.
-        by_route: lines came from the routes in `truth/`; else these are not missed.
-        finished: by what its head says.
+        by_route: lines came from the routes in `truth/`; else nothing hangs on these.
 
     Raises:
         InputError: a line of a file, other than its last one, is no JSON.
     """
     found = [
-        *_gaps_of_lines(path, finished),
+        *_gaps_of_lines(path, header),
         *_gaps_of_truth(path, parts),
-        *(gap for name in predictors for gap in _gaps_of(path, name, parts, name == predictors[0])),
+        *(
+            gap
+            for name in predictors
+            for gap in _gaps_of(path, name, frames, parts, name == predictors[0])
+        ),
         *_gaps_of_wholes(path),
     ]
-    return tuple(gap for gap in found if by_route or gap.part is not Part.ROUTES)
+    is_other = not by_route
+    return tuple(
+        replace(gap, part=Part.TRUE_ROUTES) if is_other and gap.part is Part.ROUTES else gap
+        for gap in found
+    )
 
 
-def _gaps_of_lines(path: Path, finished: bool) -> Iterator[Gap]:
+def noted_lines(header: Mapping[str, Any], name: str) -> int | None:
+    """Lines that a file had when its run was closed; None: of a killed or an older run."""
+    count: int | None = header.get(schema.LINE_COUNTS, {}).get(name)
+    return count
+
+
+def _gaps_of_lines(path: Path, header: Mapping[str, Any]) -> Iterator[Gap]:
     for name, part in LINES_OF.items():
         if not (path / name).parent.is_dir():
             continue  # told of the folder
+        noted = noted_lines(header, name)
         if not (path / name).is_file():
-            if part is not Part.COUNTERFACTUALS:  # nobody has to ask for them
+            # Nobody has to ask for counterfactuals.
+            if part is not Part.COUNTERFACTUALS or noted is not None:
                 yield Gap(name, "is missing", part)
             continue
         lines, is_cut = read_lines(path / name, forgive_last=True)
-        if not is_cut:
+        lost = 0 if noted is None else noted - len(lines)
+        if not is_cut and lost <= 0:
             continue
         if part is Part.ROUTES:  # told by number: all or none
             yield Gap(name, "is cut off", part)
-        elif finished:  # no kill did that, so who knows how much is lost
+        elif lost > 0:
+            found = f"is cut off after {len(lines)} of {noted} lines"
+            yield Gap(name, found, part, is_gone=False)
+        elif header["finished"]:  # no kill did that, so who knows how much is lost
             yield Gap(name, f"is cut off after {len(lines)} lines", part, is_gone=False)
         else:
-            yield Gap(name, "ends in half a line", part, is_gone=False)
+            yield Gap(name, "ends in half a line", part, is_gone=False, by_kill=True)
 
 
 def _gaps_of_truth(path: Path, parts: int) -> Iterator[Gap]:
@@ -108,25 +142,31 @@ def _gaps_of_truth(path: Path, parts: int) -> Iterator[Gap]:
     yield from _gaps_of_parts(path, schema.TRUTH_FOLDER, parts, Part.ROUTES)
 
 
-def _gaps_of(path: Path, predictor: str, parts: int, is_main: bool) -> Iterator[Gap]:
+def _gaps_of(path: Path, predictor: str, frames: int, parts: int, is_main: bool) -> Iterator[Gap]:
     folder = schema.predictor_folder(predictor)
     if parts and not any((path / folder).glob("part-*.parquet")):
         yield Gap(f"{folder}/", "is missing", Part.PREDICTIONS)
         return
-    for gap in _gaps_of_parts(path, folder, parts, Part.PREDICTIONS):
+    for gap in _gaps_of_parts(path, folder, parts, Part.PREDICTIONS, frames):
         # Others than the main one may have been asked for a few frames only.
         if is_main or (path / gap.file).exists():
             yield gap
 
 
-def _gaps_of_parts(path: Path, folder: str, parts: int, part: Part) -> Iterator[Gap]:
+def _gaps_of_parts(
+    path: Path, folder: str, parts: int, part: Part, frames: int | None = None
+) -> Iterator[Gap]:
+    """Of a run of so many `frames`, if a part can be done without; None: all hangs on each."""
     for number in range(parts):
         name = f"{folder}/{schema.part_name(number)}"
         try:
             check_part(path / name)
         except InputError:
             found = "is damaged" if (path / name).is_file() else "is missing"
-            yield Gap(name, found, part)
+            lost = None
+            if frames is not None and parts > 1:
+                lost = min(frames - number * schema.PART_FRAMES, schema.PART_FRAMES), frames
+            yield Gap(name, found, part, lost_frames=lost)
 
 
 def _gaps_of_wholes(path: Path) -> Iterator[Gap]:

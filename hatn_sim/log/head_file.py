@@ -12,7 +12,12 @@ from hatn_sim.log.lines_file import read_text
 
 HEAD = {"predictors": list, "finished": bool, "frames": int}
 """Keys of run.json that are read, and the types of their values."""
-OPTIONAL_HEAD = {"settings": dict, "weights_sha256": dict, "trained_on": list}
+OPTIONAL_HEAD = {
+    "settings": dict,
+    "weights_sha256": dict,
+    "trained_on": list,
+    schema.LINE_COUNTS: dict,
+}
 """The same of keys that a log may lack."""
 
 
@@ -54,3 +59,6 @@ def _check_head(header: dict[str, Any]) -> None:
             raise TypeError(f"{key}: expected {kind.__name__}, found {header[key]!r}")
     if not all(type(name) is str for name in header["predictors"]):
         raise TypeError(f"predictors: expected names, found {header['predictors']!r}")
+    counts = header.get(schema.LINE_COUNTS, {})
+    if not all(type(count) is int for count in counts.values()):
+        raise TypeError(f"{schema.LINE_COUNTS}: expected numbers, found {counts!r}")

@@ -16,6 +16,29 @@ from hatn_sim.log.tables import Event, SuggestionChange
 T = TypeVar("T")
 
 
+class LineWriter:
+    """A new file of lines, each out of our hands at once; it counts them."""
+
+    def __init__(self, path: Path) -> None:
+        self.count = 0
+        self._file = path.open("w", encoding="utf-8", newline="\n")
+
+    def write(self, content: Any) -> None:
+        """Add a line; what of a dict is not finite becomes null."""
+        if isinstance(content, dict):
+            content = {
+                key: None if isinstance(value, float) and not math.isfinite(value) else value
+                for key, value in content.items()
+            }
+        self._file.write(json.dumps(content, allow_nan=False) + "\n")
+        self._file.flush()
+        self.count += 1
+
+    def close(self) -> None:
+        """No more lines; a second call does nothing."""
+        self._file.close()
+
+
 def read_text(path: Path) -> str:
     """The text of a file. Raises InputError where it cannot be read."""
     try:

@@ -27,7 +27,7 @@ from hatn_sim.datatypes import (
 from hatn_sim.errors import InputError
 from hatn_sim.labels import Trajectories, trajectories_from_rows
 from hatn_sim.log import schema
-from hatn_sim.log.gaps import NO_LINES, Gap, Part, find_gaps
+from hatn_sim.log.gaps import NO_LINES, Gap, Part, find_gaps, noted_lines
 from hatn_sim.log.head_file import read_head
 from hatn_sim.log.lines_file import (
     change_of,
@@ -304,6 +304,12 @@ class Run:
         lines, is_cut = read_lines(self.path / name, forgive_last=cut)
         if is_cut and self.finished and not cut:
             raise InputError(f"{self.path / name}: the last line is cut off; make the run again")
+        noted = noted_lines(self.header, name)
+        if not cut and noted is not None and len(lines) < noted:
+            raise InputError(
+                f"{self.path / name}: expected {noted} lines, found {len(lines)}; "
+                "make the run again"
+            )
         return lines
 
     def _each(self, name: str, read: Callable[[Any], T]) -> list[T]:
@@ -335,7 +341,8 @@ def read_run(path: Path, *, whole: bool = True) -> Run:
     parts = part_count(path / schema.FRAMES_FOLDER)
     columns = (schema.Column("frame", "int32"),)
     frame_count = len(read_parts(path / schema.FRAMES_FOLDER, range(parts), columns)["frame"])
-    if finished and frame_count != frames:
+    # Tables are written before it is told how many frames there are.
+    if frame_count < frames or (finished and frame_count != frames):
         raise InputError(
             f"{path}: expected {frames} frames, found {frame_count}; a part was lost, "
             "make the run again"
@@ -348,7 +355,7 @@ def read_run(path: Path, *, whole: bool = True) -> Run:
     run = Run(path, header, finished, frame_count, parts, predictors)
     if whole:
         return run
-    gaps = find_gaps(path, parts, predictors, by_route=run.by_route, finished=finished)
+    gaps = find_gaps(path, header, frame_count, parts, predictors, by_route=run.by_route)
     return replace(run, whole=False, gaps=gaps)
 
 

@@ -10,6 +10,8 @@ PART_FRAMES = 300
 """A Parquet part holds this many frames: a killed run loses at most 30 s of its tables."""
 
 RUN_FILE = "run.json"
+LINE_COUNTS = "line_counts"
+"""Key of `run.json` from a run's end on: how many lines each of its files of lines has."""
 TIMING_FILE = "timing.json"
 SUGGESTIONS_FILE = "suggestions.jsonl"
 ALERTS_FILE = "alerts.jsonl"

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from hatn_sim.datatypes import DT_S, Advice, Frame, Route, Truth
 from hatn_sim.errors import HatnSimError, InputError
 from hatn_sim.log import rows, schema
+from hatn_sim.log.lines_file import LineWriter
 from hatn_sim.log.parts import PartBuffer
 from hatn_sim.whole_file import write_whole
 
-RESERVED_KEYS = ("schema_version", "finished", "frames", "predictors")
+RESERVED_KEYS = ("schema_version", "finished", "frames", "predictors", schema.LINE_COUNTS)
 
 
 class RunWriter:
@@ -48,7 +48,7 @@ class RunWriter:
         self._next_frame = 0
         self._written_frames = 0
         self._closed = False
-        self._counterfactuals: IO[str] | None = None
+        self._lines: dict[str, LineWriter] = {}  # by name
         self._tracks = PartBuffer(out / schema.TRACKS_FOLDER, schema.TRACKS)
         self._truth = PartBuffer(out / schema.TRUTH_FOLDER, schema.TRUTH)
         self._frames = PartBuffer(out / schema.FRAMES_FOLDER, schema.FRAMES)
@@ -115,7 +115,7 @@ class RunWriter:
                     for alert in of_predictor.alerts:
                         ago = max(round((scene.time_s - alert.time_s) / DT_S), 0)
                         at = max(frame_index - ago, 0)  # a peak or an end is known only later
-                        _write_line(self._alerts, {"frame": at, **asdict(alert)})
+                        self._alerts.write({"frame": at, **asdict(alert)})
             # Last: a frame counts for readers from here on, whatever interrupts the run.
             self._frames.append(rows.frame_rows(frame_index, frame))
             self._next_frame += 1
@@ -125,10 +125,10 @@ class RunWriter:
     def write_counterfactuals(self, lines: Iterable[Mapping[str, Any]]) -> None:
         """Add lines of what branches of the run said; there is a file from the first call on."""
         with _errors_of_the_disk(self._out):
-            if self._counterfactuals is None:
-                self._counterfactuals = self._open_lines(schema.COUNTERFACTUALS_FILE)
+            if schema.COUNTERFACTUALS_FILE not in self._lines:
+                self._open_lines(schema.COUNTERFACTUALS_FILE)
             for line in lines:
-                _write_line(self._counterfactuals, dict(line))
+                self._lines[schema.COUNTERFACTUALS_FILE].write(dict(line))
 
     def close(self, *, finished: bool = True, timing: Mapping[str, Any] | None = None) -> None:
         """Write what is left; a second call does nothing. `timing` goes to `timing.json`."""
@@ -137,13 +137,12 @@ class RunWriter:
         with _errors_of_the_disk(self._out):
             if self._written_frames < self._next_frame:
                 self._write_part()
-            for file in (self._suggestions, self._alerts, self._events, self._routes_file):
+            for file in self._lines.values():
                 file.close()
-            if self._counterfactuals is not None:
-                self._counterfactuals.close()
             if timing is not None:
                 self._write_whole(schema.TIMING_FILE, json.dumps(dict(timing), indent=2))
-            self._write_run_file(finished=finished)
+            counts = {name: file.count for name, file in self._lines.items()}
+            self._write_run_file(finished=finished, line_counts=counts)
         # Last: who is interrupted in here closes once more.
         self._closed = True
 
@@ -158,7 +157,7 @@ class RunWriter:
         for route in truth.routes:
             if route is not None and route not in self._routes:
                 self._routes[route] = len(self._routes)
-                _write_line(self._routes_file, list(route))
+                self._routes_file.write(list(route))
         return [-1 if route is None else self._routes[route] for route in truth.routes]
 
     def _write_events(self, frame_index: int, time_s: float, truth: Truth) -> None:
@@ -166,7 +165,7 @@ class RunWriter:
             for who in getattr(truth, name):
                 ids = [who] if isinstance(who, str) else list(who)
                 event = {"frame": frame_index, "time_s": time_s, "type": kind, "ids": ids}
-                _write_line(self._events, event)
+                self._events.write(event)
 
     def _write_suggestions(self, frame_index: int, time_s: float, advice: Advice) -> None:
         """A line when action, slot, feasibility or the reason change, or whether a time is told:
@@ -191,11 +190,11 @@ class RunWriter:
                 if suggestion.action == "abstain":
                     # Nothing is advised: what would have been is nobody's to act on.
                     line |= {"target_time_s": None, "advised_speed_mps": None}
-                _write_line(self._suggestions, line)
+                self._suggestions.write(line)
         for ego_id in self._advised:
             if ego_id not in advised:
                 gone = {"frame": frame_index, "time_s": time_s, "ego_id": ego_id, "action": None}
-                _write_line(self._suggestions, gone)
+                self._suggestions.write(gone)
         self._advised = advised
 
     def _write_part(self) -> None:
@@ -207,7 +206,9 @@ class RunWriter:
         self._written_frames = self._next_frame
         self._write_run_file(finished=False)
 
-    def _write_run_file(self, *, finished: bool) -> None:
+    def _write_run_file(
+        self, *, finished: bool, line_counts: Mapping[str, int] | None = None
+    ) -> None:
         content = {
             "schema_version": schema.SCHEMA_VERSION,
             **self._header,
@@ -215,14 +216,17 @@ class RunWriter:
             "frames": self._written_frames,
             "finished": finished,
         }
+        if line_counts is not None:  # a killed run has none
+            content[schema.LINE_COUNTS] = dict(line_counts)
         self._write_whole(schema.RUN_FILE, json.dumps(content, indent=2))
 
     def _write_whole(self, name: str, text: str) -> None:
         data = f"{text}\n".encode()
         write_whole(self._out / name, lambda file: file.write_bytes(data))
 
-    def _open_lines(self, name: str) -> IO[str]:
-        return (self._out / name).open("w", encoding="utf-8", newline="\n")
+    def _open_lines(self, name: str) -> LineWriter:
+        self._lines[name] = LineWriter(self._out / name)
+        return self._lines[name]
 
 
 def _make_folder(out: Path) -> None:
@@ -249,14 +253,3 @@ def _errors_of_the_disk(out: Path) -> Generator[None, None, None]:
             f"{out}: the log cannot be written on ({error.strerror or error}); "
             "make room or name another folder, and make the run again"
         ) from error
-
-
-def _write_line(file: IO[str], content: Any) -> None:
-    """One line of JSON, out of our hands at once; what is not finite becomes null."""
-    if isinstance(content, dict):
-        content = {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in content.items()
-        }
-    file.write(json.dumps(content, allow_nan=False) + "\n")
-    file.flush()

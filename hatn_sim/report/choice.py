@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.datatypes import HORIZON_FRAMES, BoolArray, FloatArray, IntArray
-from hatn_sim.errors import InputError, nearest
+from hatn_sim.errors import InputError, nearest_vehicle
 from hatn_sim.labels import slot_label
 from hatn_sim.log import PredictionTable, Run
 from hatn_sim.report.moment import main_predictions
@@ -85,7 +85,7 @@ def _wanted(
     wanted = np.ones(len(table.frame), dtype=np.bool_)
     if ego_id is not None:
         if ego_id not in run.ids:
-            raise InputError(f"{run.path}: no vehicle {ego_id!r}{nearest(ego_id, run.ids)}")
+            raise InputError(f"{run.path}: no vehicle {ego_id!r}{nearest_vehicle(ego_id, run.ids)}")
         wanted &= table.vehicle == run.ids.index(ego_id)
     if time_s is not None:
         first_s, last_s = float(run.times_s[0]), float(run.times_s[-1])
