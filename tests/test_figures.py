@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +29,7 @@ from hatn_sim.learn.adaptation_rows import AdaptationRow, Change, write_csv
 from hatn_sim.log import Run, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.report import calibration_figure, run_figures, space_time_figure, steps_figure
+from hatn_sim.report import space_time as space_time_of
 from hatn_sim.report.adaptation_file import read_adaptation
 from hatn_sim.report.assistance_figure import events_by_scene
 from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
@@ -434,6 +436,24 @@ def test_others_are_on_the_egos_way_only_where_they_cross_it(crossing: Run) -> N
     assert 0 < other.on_way.sum() < 6
 
 
+def test_who_the_ego_is_told_of_goes_before_those_met_for_longer() -> None:
+    """Eight others in the ego's choice for ever fewer frames; told of the one met least."""
+    others, frames = np.arange(1, 9), np.arange(10)
+    node = np.tile(np.append(0, others), (len(frames), 1))
+    focus = np.column_stack([frames < 10 - k for k in range(9)])
+    focus[:, 0] = True
+    focus[6] = np.isin(node[6], (0, 3, 2))  # the choice at the moment, frame 6
+    other_m = np.tile(20.0 + np.arange(9), (len(frames), 1))
+    other_m[6, 3] = 5.0
+    choices: Any = SimpleNamespace(
+        frame=frames, node=node, focus=focus, other_m=other_m, ego_m=np.full(node.shape, 9.0)
+    )
+    told = [vehicle for vehicle, _, _ in space_time_of._met(choices, frames, 6, [8])]
+    assert told == [8, 3, 2, 1, 4, 5]
+    # Frame 9 is the last with each of them in its graph; the one told of is looked for in all.
+    assert {(v, row) for v, row, _ in space_time_of._met(choices, frames, 6, [8])} >= {(8, 9)}
+
+
 def test_figures_name_what_is_in_them(crossing: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bands, whiskers, hollow rings, panels; read off the figures that are about to be written."""
     drawn: list[Figure] = []
@@ -449,6 +469,8 @@ def test_figures_name_what_is_in_them(crossing: Run, monkeypatch: pytest.MonkeyP
     assert {"95 % interval of the mean", "the same, both axes logarithmic"} <= errors
     assert {"car northbound", "likeliest prediction, once a second"} <= ways
     assert {"on the ego's way, bumper to bumper", "the conflict is free"} <= ways
+    assert {"upright: the moment, 101.0 s", "level: conflict with who has its colour"} <= ways
+    assert any("black, to yield" in words for words in ways)
 
 
 def test_recall_is_told_with_its_events() -> None:

@@ -35,13 +35,11 @@ def draw_moment(run: Run, frame: int, ego_id: str, paths: Sequence[Path]) -> Non
     """
     from hatn_sim.report.canvas import POSTER, open_sheet
     from hatn_sim.report.drawing import draw_moment_on
-    from hatn_sim.report.drawing_warning import covered_in
     from hatn_sim.report.figures import save_figure
 
     moment = moment_at(run, frame, ego_id)
     wide, high = POSTER.map_in
-    covered = covered_in(POSTER) / high if moment.warning is not None else 0.0
-    centre, width_m = holding(*camera([moment], wide / high), wide / high, told_of(moment), covered)
+    centre, width_m = holding(*camera([moment], wide / high), wide / high, told_of(moment))
     sheet = open_sheet(POSTER, run.lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
     save_figure(sheet.figure, paths)
@@ -117,7 +115,6 @@ def holding(
     width_m: float,
     aspect: float,
     points_xy_m: FloatArray,
-    covered: float = 0.0,
 ) -> tuple[FloatArray, float]:
     """The view that holds all points [P, 2], moved and widened from the one given no more than
     that takes.
@@ -127,16 +124,14 @@ def holding(
         width_m: of it.
         aspect: its width over its height.
         points_xy_m: to be seen, with `RIM_M` around them.
-        covered: share of its height at the upper border that something lies over.
     """
     if not len(points_xy_m):
         return centre_xy_m, width_m
     low, high = points_xy_m.min(axis=0) - RIM_M, points_xy_m.max(axis=0) + RIM_M
     wide, tall = high - low
-    width_m = max(width_m, float(wide), float(aspect * tall / (1.0 - covered)))
+    width_m = max(width_m, float(wide), float(aspect * tall))
     half = 0.5 * np.array([width_m, width_m / aspect])
-    least = high - half + [0.0, covered * 2.0 * half[1]]
-    most = low + half
+    least, most = high - half, low + half
     return np.minimum(np.maximum(centre_xy_m, least), most), width_m
 
 

@@ -19,10 +19,10 @@ function makeApp(head) {
   return app;
 }
 
-// An alert about the ego goes before its advice.
+// An alert about the ego goes before its advice, the latest first: as `Moment.headline` has it.
 function showSaid(app, view) {
-  const own = view.alerts.find(({ ego }) => ego === app.ego);
-  const alert = own || view.alerts.find(({ other }) => other === app.ego);
+  const own = view.alerts.findLast(({ ego }) => ego === app.ego);
+  const alert = own || view.alerts.findLast(({ other }) => other === app.ego);
   const told = alert && (own ? alert.text : `${shortened(nameOf(app, alert.ego), 30)} is told: ${alert.text}`);
   const words = told ? told : view.advice ? countedDown(view.advice.text, view.time - app.timeOf(view.advice.frame)) : '';
   const place = byId('said');
