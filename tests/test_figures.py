@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,7 +29,13 @@ from hatn_sim.evaluation.table import write_csv as write_entries
 from hatn_sim.learn.adaptation_rows import AdaptationRow, Change, write_csv
 from hatn_sim.log import Run, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
-from hatn_sim.report import calibration_figure, run_figures, space_time_figure, steps_figure
+from hatn_sim.report import (
+    assistance_figure,
+    calibration_figure,
+    run_figures,
+    space_time_figure,
+    steps_figure,
+)
 from hatn_sim.report import space_time as space_time_of
 from hatn_sim.report.adaptation_file import read_adaptation
 from hatn_sim.report.assistance_figure import events_by_scene
@@ -483,6 +490,64 @@ def test_recall_is_told_with_its_events() -> None:
         score("c", "hatn", "all", 5, "recall_1s5"),
     ]
     assert events_by_scene(scores) == {"a": 7, "b": 0}
+
+
+def test_intervals_of_a_tables_folder_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whiskers end where the scores say, at the false alarms of the courteous."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(
+        assistance_figure, "save_figure", lambda figure, paths: drawn.append(figure)
+    )
+    told = {
+        ("event_recall", "all"): (0.5, 0.2, 0.8), ("event_recall", "courteous"): (0.1, 0.0, 0.3),
+        ("false_alarms_per_hour", "courteous"): (2.0, 1.0, 3.0),
+        ("false_alarms_per_hour", "all"): (9.0, 8.0, 10.0),
+        ("recall_1s5", "all"): (0.5, 0.5, 0.5), ("lead_time_s", "all"): (None, None, None),
+    }  # fmt: skip
+    write_scores(
+        tmp_path,
+        [
+            Score(measure, "hatn", "a", subset, "none", value, "1", 2, low, high)
+            for (measure, subset), (value, low, high) in told.items()
+        ],
+    )
+    curves = {
+        "a": {"hatn": [Operating(0.5, 1.0, 0.9, 0.8, 2.0), Operating(0.2, 3.0, 1.0, 1.0, 2.0)]}
+    }
+    write_curves(tmp_path / "curves.csv", curves)
+    assert main(["figures", str(tmp_path), "--formats", "png"]) == 0
+    lines = [
+        [
+            line.get_xydata().tolist()
+            for line in axes.lines
+            if line.get_transform() != axes.transData
+        ]
+        for axes in drawn[0].axes
+    ]
+    whisker, mark = [[2.0, 0.2], [2.0, 0.8]], [[2.0, 0.5]]
+    at = [[one for one in of_axes if one[0][0] == 2.0] for of_axes in lines]
+    assert at == [[whisker, mark], [mark], []]  # nobody differs: no interval; no value: no mark
+
+
+def test_who_was_trained_on_a_scene_is_marked_in_the_figure_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(steps_figure, "save_figure", lambda figure, paths: drawn.append(figure))
+    rising = np.linspace(0.1, 3.0, HORIZON_FRAMES)
+    of = {name: StepErrors("a", name, "moving", *[rising] * 4, n=9) for name in ("hatn", "idm")}
+    path = tmp_path / "steps.csv"
+    write_steps(path, [replace(of["hatn"], trained=True), of["idm"]])
+    assert [one.trained for one in read_steps(path)] == [True, False]
+    assert main(["figures", str(tmp_path), "--formats", "png"]) == 0
+    words = {text.get_text() for text in drawn[0].findobj(Text)}
+    assert {"hatn*", "idm", "* its weights were trained on runs of this scene"} <= words
+    # Tables made before this was kept are still read.
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join(row.rsplit(",", 1)[0] for row in rows) + "\n")
+    assert [one.trained for one in read_steps(path)] == [False, False]
 
 
 @pytest.mark.parametrize(

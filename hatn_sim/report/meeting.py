@@ -19,7 +19,8 @@ ALIKE_FRAMES: Final = 6
 def meeting_place(run: Run, one: int, other: int, frame: int) -> FloatArray | None:
     """[2] where the one came the soonest after the other, around a frame.
 
-    They are at one place with their centres nearer than half of both lengths. None: their ways did not meet, as where one braked and took another way.
+    They are at one place where their centres are nearer than half of both lengths. None: their
+    ways did not meet, as where one braked and took another way.
 
     Args:
         run: the log.
