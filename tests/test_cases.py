@@ -253,7 +253,7 @@ def test_words_tell_what_was_said_and_what_happened(crossings: Run, cases: dict[
     ("frames", "happened"),
     [
         (125, "It went; nobody was seen to follow soon."),
-        (110, "Nobody was seen to cross within 5 s."),
+        (110, "Nobody was seen to cross until the end of the run."),
     ],
 )
 def test_words_where_the_log_ends_too_soon(tmp_path: Path, frames: int, happened: str) -> None:

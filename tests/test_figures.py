@@ -21,7 +21,7 @@ from test_export import driving, log
 from test_picture import FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
 
 from hatn_sim.cli import main
-from hatn_sim.datatypes import HORIZON_FRAMES, Gate, Score
+from hatn_sim.datatypes import HORIZON_FRAMES, Gate, Score, Suggestion
 from hatn_sim.evaluation.comparison import write_curves
 from hatn_sim.evaluation.paper import TABLES
 from hatn_sim.evaluation.table import AblationRow, compare
@@ -40,7 +40,7 @@ from hatn_sim.report import space_time as space_time_of
 from hatn_sim.report.adaptation_file import read_adaptation
 from hatn_sim.report.assistance_figure import events_by_scene
 from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
-from hatn_sim.report.moment import moment_at
+from hatn_sim.report.moment import Moment, moment_at
 from hatn_sim.report.policy_figure import spread
 from hatn_sim.report.space_time import free_spans, passing_time_s, space_time
 from hatn_sim.report.steps_figure import read_steps, write_steps
@@ -253,6 +253,35 @@ def test_the_camera_keeps_the_ego_and_moves_the_other(crossing: Run) -> None:
     # In the middle of a stretch of even speed the mean place is the place.
     assert abs(centres[15, 0] - along_m[15]) < 0.5
     assert (np.diff(centres[:, 0]) >= 0.0).all() and not centres[:, 1].any()
+
+
+def test_films_hold_those_told_of_and_give_way_before_they_have_to(crossing: Run) -> None:
+    """An ego that drives east at 8 m/s; told, in frames 100 to 199, of somebody 50 m north."""
+    from hatn_sim.report.animation import _following
+    from hatn_sim.report.picture import WIDE_M
+
+    ego_xy_m = np.stack((0.8 * np.arange(300.0), np.zeros(300)), axis=1)
+    first = moment_at(crossing, 10, "eastbound")
+    said = Suggestion("eastbound", 1.0, "yield", "northbound", 0.9, 0.8, None, 5.0, True, "Yield")
+
+    def moment(frame: int) -> Moment:
+        xy_m = np.stack((ego_xy_m[frame], ego_xy_m[frame] + [0.0, 50.0]))
+        told = said if 100 <= frame < 200 else None
+        scene = replace(first.scene, xy_m=xy_m)
+        return replace(first, scene=scene, slots=(), suggestion=told)
+
+    assert first.scene.ids == ("eastbound", "northbound")
+    centres, width_m = _following(ego_xy_m, 1.5, map(moment, range(300)))
+    # 50 m, 2 m of cars at both ends and 2.5 m around them are 59 m; at 88 m by 58.7 m, a bit more.
+    assert width_m == pytest.approx(1.5 * 59.0) and width_m > WIDE_M
+    half = 0.5 * np.array([width_m, width_m / 1.5])
+    for frame in range(100, 200):
+        for place in (ego_xy_m[frame], ego_xy_m[frame] + [0.0, 50.0]):
+            assert (np.abs(place - centres[frame]) < half).all()
+    np.testing.assert_allclose(centres[[0, 40, 260, 299]], ego_xy_m[[0, 40, 260, 299]], atol=1e-9)
+    # It comes to be 25 m aside over 4 s.
+    assert np.abs(np.diff(centres[:, 1])).max() < 25.0 / 40.0
+    assert centres[150, 1] == pytest.approx(25.0, abs=0.1)
 
 
 def test_a_moving_sheet_shows_what_a_standing_one_does(crossing: Run) -> None:

@@ -18,6 +18,8 @@ __all__ = ["choose_moment", "draw_moment"]
 NARROW_M: Final = 62.0
 WIDE_M: Final = 88.0
 """A picture shows at least and at most this much of the map from left to right."""
+WIDEST_M: Final = 150.0
+"""Of what is shown for longer than a moment: more than that is seen too small."""
 PADDING_M: Final = 9.0
 RIM_M: Final = 2.5
 """Free around vehicles and conflicts that have to be in a picture."""
@@ -133,6 +135,21 @@ def holding(
     half = 0.5 * np.array([width_m, width_m / aspect])
     least, most = high - half, low + half
     return np.minimum(np.maximum(centre_xy_m, least), most), width_m
+
+
+def framed(
+    moments: Sequence[Moment],
+    aspect: float,
+    widths_m: tuple[float, float] = (NARROW_M, WIDE_M),
+    padding_m: float = PADDING_M,
+    widest_m: float = WIDEST_M,
+) -> tuple[FloatArray, float]:
+    """As `camera`, moved and widened to hold what each moment is told of, if that is no wider than
+    `widest_m`."""
+    view = camera(moments, aspect, widths_m, padding_m)
+    told = np.concatenate([told_of(moment) for moment in moments])
+    held = holding(*view, aspect, told)
+    return held if held[1] <= widest_m else view
 
 
 def _core(moment: Moment) -> list[FloatArray]:
