@@ -27,6 +27,7 @@ from hatn_sim.report.cases import Case
 from hatn_sim.report.figures import save_figure
 from hatn_sim.report.moment import Moment, read_moments
 from hatn_sim.report.picture import UNFINISHED, camera, framed, told_of
+from hatn_sim.report.road_shapes import lamps_in
 
 WIDTH_IN: Final = 7.2
 """As wide as the text of a page in two columns, so that sizes in points are those in print."""
@@ -79,7 +80,9 @@ def draw_case(case: Case, paths: Sequence[Path]) -> None:
         _draw_panel(page, case, k, (left, top), map_in, moment, view, cast)
     is_beyond = any(panel_words(case, cast, at).happened.endswith(BEYOND) for at in case.frames)
     ends_in, note = (MARGIN_IN, WIDTH_IN - MARGIN_IN), BEYOND_WORDS if is_beyond else ""
-    draw_legend(page, ends_in, FOOTER_IN, views[0].points_per_m, note)
+    pairs = zip(views, moments, strict=True)
+    has_signals = any(lamps_in(view.shapes, view.box, one.scene) for view, one in pairs)
+    draw_legend(page, ends_in, FOOTER_IN, views[0].points_per_m, note, has_signals)
     save_figure(figure, paths, facecolor=PAPER)
 
 

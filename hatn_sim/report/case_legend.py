@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
-from hatn_sim.report.canvas import INK
+from hatn_sim.report.canvas import CLOSED, INK, OPEN
 from hatn_sim.report.case_cast import BLACK, COLOURS
 from hatn_sim.report.case_map import PALE, PALE_EDGE, shade
 from hatn_sim.report.label_width import width_pt
@@ -27,6 +27,7 @@ def draw_legend(
     height_in: float,
     points_per_m: float,
     note: str = "",
+    has_signals: bool = False,
 ) -> None:
     """Two lines at the foot of a page in inches, with a note, and a bar as long as `SCALE_M` is."""
     blue, upper, lower = COLOURS[1], 0.68 * height_in, 0.28 * height_in
@@ -40,7 +41,10 @@ def draw_legend(
         page.add_patch(slot)
     x = _words(page, x + 0.54, upper, "slot and its node: the darker, the likelier")
     page.plot([x + 0.03], [upper], "o", ms=3.2, mfc="white", mec=PALE_EDGE, mew=0.5)
-    _words(page, x + 0.06, upper, "of another conflict")
+    x = _words(page, x + 0.06, upper, "of another conflict")
+    for colour, words in ((CLOSED, "signal closed"), (OPEN, "open")) if has_signals else ():
+        page.plot([x, x + 0.12], [upper, upper], color=colour, lw=2.6, solid_capstyle="butt")
+        x = _words(page, x + 0.12, upper, words) - 0.04
 
     x = span_in[0]
     along = np.linspace(x, x + 0.3, 4)

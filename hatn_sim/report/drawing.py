@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 
-from hatn_sim.datatypes import FloatArray, Gate
+from hatn_sim.datatypes import FloatArray
 from hatn_sim.report.canvas import (
     ACTUAL,
     ALERT,
@@ -35,7 +35,7 @@ from hatn_sim.report.drawing_labels import draw_labels
 from hatn_sim.report.drawing_vehicles import draw_vehicles
 from hatn_sim.report.label_width import fitting_pt
 from hatn_sim.report.moment import Moment, moves
-from hatn_sim.report.road_shapes import StopLine
+from hatn_sim.report.road_shapes import lamps_in
 from hatn_sim.report.vehicle_shapes import placed, rounded
 
 STRIP_HALF_M: Final = 1.05
@@ -70,31 +70,22 @@ def draw_moment_on(
         *_draw_conflicts(sheet, moment),
         *_draw_frame(sheet),
         *_draw_header(sheet, moment, caption),
-        *draw_keys(sheet, bool(_lamps(sheet, moment)), bool(moment.alerts)),
+        *draw_keys(
+            sheet,
+            bool(lamps_in(sheet.shapes, sheet.box, moment.scene)),
+            bool(moment.alerts),
+        ),
     ]
     labels, offsets = draw_labels(sheet, moment, labels_before)
     return [*artists, *labels], offsets
 
 
 def _draw_signals(sheet: Sheet, moment: Moment) -> list[Artist]:
-    shown = _lamps(sheet, moment)
+    shown = lamps_in(sheet.shapes, sheet.box, moment.scene)
     bars = [line.corners_xy_m for line, _ in shown]
     colours = [CLOSED if is_closed else OPEN for _, is_closed in shown]
     lamps = PolyCollection(bars, facecolors=colours, linewidths=0.0, zorder=3.2)
     return [sheet.map.add_collection(lamps)]
-
-
-def _lamps(sheet: Sheet, moment: Moment) -> list[tuple[StopLine, bool]]:
-    """The stop lines of signals in the picture, and whether they are closed."""
-    closed = moment.scene.signal_closed
-    return [
-        (line, bool(closed[list(line.signals)].all()))
-        for line in sheet.shapes.stop_lines
-        if line.gate is Gate.SIGNAL
-        and line.signals
-        and max(line.signals) < len(closed)
-        and sheet.box.near(line.corners_xy_m, 0.0).any()
-    ]
 
 
 def _draw_slots(sheet: Sheet, moment: Moment) -> list[Artist]:
