@@ -39,7 +39,7 @@ def draw_legend(
         slot = Rectangle((x + 0.14 * k, upper - 0.04), 0.12, 0.08, facecolor=shade(blue, chance))
         slot.set(edgecolor=blue, linewidth=0.7, linestyle=(0.0, (2.2, 1.2)))
         page.add_patch(slot)
-    x = _words(page, x + 0.54, upper, "slot and its node: the darker, the likelier")
+    x = _words(page, x + 0.54, upper, "slot and node: darker is likelier")
     page.plot([x + 0.03], [upper], "o", ms=3.2, mfc="white", mec=PALE_EDGE, mew=0.5)
     x = _words(page, x + 0.06, upper, "of another conflict")
     for colour, words in ((CLOSED, "signal closed"), (OPEN, "open")) if has_signals else ():
