@@ -12,7 +12,7 @@ from typing import Any, Final
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
-from matplotlib.transforms import ScaledTranslation, Transform
+from matplotlib.transforms import offset_copy
 
 from hatn_sim.config import DEFAULT_RISK
 from hatn_sim.datatypes import Score
@@ -86,7 +86,7 @@ Compared = Mapping[tuple[str, str], Score]
 """Rule and measure -> the score at the threshold at which rules are compared."""
 
 
-def compared_by_scene(scores: Sequence[Score]) -> dict[str, Compared]:
+def compared_by_scene(scores: Sequence[Score]) -> Mapping[str, Compared]:
     """Scene -> where and how sure each rule is, as the printed table has it.
 
     Of all drivers; false alarms of the courteous, where there are some, as in the curves.
@@ -136,18 +136,15 @@ def _interval(
     score, at = compared.get((name, measure)), compared.get((name, FALSE_ALARMS))
     if score is None or at is None or score.value is None or at.value is None:
         return
-    aside = ScaledTranslation(ASIDE_PT * (number - 0.5 * (count - 1)) / 72.0, 0.0, _inches(axes))
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    aside_pt = ASIDE_PT * (number - 0.5 * (count - 1))
+    place = offset_copy(axes.transData, figure, aside_pt, 0.0, units="points")
     look: dict[str, Any] = {
         "color": COLOURS[number % len(COLOURS)],
-        "transform": axes.transData + aside,
+        "transform": place,
         "zorder": 4.0 - 0.01 * number,
     }
     if score.low is not None and score.high is not None and score.low < score.high:
         axes.plot([at.value] * 2, [score.low, score.high], lw=WHISKER["lw"], **look)
     axes.plot([at.value], [score.value], ls="", clip_on=False, **{**WHISKER, **look})
-
-
-def _inches(axes: Axes) -> Transform:
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    return figure.dpi_scale_trans
