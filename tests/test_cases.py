@@ -10,6 +10,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 
 from hatn_sim.cli import main
@@ -31,7 +33,15 @@ from hatn_sim.graph import build_graphs
 from hatn_sim.log import Run, RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.perception import begin, perceive
-from hatn_sim.report.case_cast import COLOURS, cast_of, panel_words, story_words
+from hatn_sim.report.case_cast import (
+    BEYOND_WORDS,
+    COLOURS,
+    cast_of,
+    panel_words,
+    story_words,
+)
+from hatn_sim.report.case_figure import DPI, FOOTER_IN, MARGIN_IN, WIDTH_IN
+from hatn_sim.report.case_legend import draw_legend
 from hatn_sim.report.case_moments import APART_FRAMES, Beat, key_frames
 from hatn_sim.report.cases import KINDS, Case, find_cases
 from hatn_sim.report.moment import Moment, Slot, read_moments
@@ -253,7 +263,7 @@ def test_words_tell_what_was_said_and_what_happened(crossings: Run, cases: dict[
     ("frames", "happened"),
     [
         (125, "It went; nobody was seen to follow soon."),
-        (110, "Nobody was seen to cross within 5 s."),
+        (110, "Nobody was seen to cross until the end of the run."),
     ],
 )
 def test_words_where_the_log_ends_too_soon(tmp_path: Path, frames: int, happened: str) -> None:
@@ -311,6 +321,22 @@ def test_colours_are_told_apart_within_and_between_neighbouring_panels() -> None
     for here, there in pairwise(panels):
         shown = {cast[v].colour for v in {*here, *there}}
         assert len(shown) == len({*here, *there}) and shown <= set(COLOURS)
+
+
+def test_signals_have_a_key_that_fits() -> None:
+    """As matplotlib draws it: words of a line neither touch nor leave the page."""
+    figure = Figure(figsize=(WIDTH_IN, 1.0), dpi=DPI)
+    page = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    page.set(xlim=(0.0, WIDTH_IN), ylim=(0.0, 1.0))
+    draw_legend(page, (MARGIN_IN, WIDTH_IN - MARGIN_IN), FOOTER_IN, 3.0, BEYOND_WORDS, True)
+    FigureCanvasAgg(figure).draw()
+    words = {text.get_text(): text for text in page.texts}
+    assert {"signal closed", "open", BEYOND_WORDS} <= words.keys()
+    for y in {text.get_position()[1] for text in page.texts}:
+        of_line = [text.get_window_extent() for text in page.texts if text.get_position()[1] == y]
+        ends = sorted((box.x0, box.x1) for box in of_line)
+        assert ends[-1][1] < DPI * (WIDTH_IN - MARGIN_IN)
+        assert all(one[1] < other[0] for one, other in pairwise(ends))
 
 
 def test_panels_are_apart_and_never_too_few() -> None:

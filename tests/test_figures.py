@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +21,7 @@ from test_export import driving, log
 from test_picture import FRAMES, SPEED_MPS, START_M, SURE_OF_PASS, write_run
 
 from hatn_sim.cli import main
-from hatn_sim.datatypes import HORIZON_FRAMES, Gate, Score
+from hatn_sim.datatypes import HORIZON_FRAMES, Gate, Score, Suggestion
 from hatn_sim.evaluation.comparison import write_curves
 from hatn_sim.evaluation.paper import TABLES
 from hatn_sim.evaluation.table import AblationRow, compare
@@ -27,11 +29,18 @@ from hatn_sim.evaluation.table import write_csv as write_entries
 from hatn_sim.learn.adaptation_rows import AdaptationRow, Change, write_csv
 from hatn_sim.log import Run, read_run
 from hatn_sim.log.road_file import ROAD_FILE, write_road
-from hatn_sim.report import calibration_figure, run_figures, space_time_figure, steps_figure
+from hatn_sim.report import (
+    assistance_figure,
+    calibration_figure,
+    run_figures,
+    space_time_figure,
+    steps_figure,
+)
+from hatn_sim.report import space_time as space_time_of
 from hatn_sim.report.adaptation_file import read_adaptation
 from hatn_sim.report.assistance_figure import events_by_scene
 from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
-from hatn_sim.report.moment import moment_at
+from hatn_sim.report.moment import Moment, moment_at
 from hatn_sim.report.policy_figure import spread
 from hatn_sim.report.space_time import free_spans, passing_time_s, space_time
 from hatn_sim.report.steps_figure import read_steps, write_steps
@@ -246,6 +255,35 @@ def test_the_camera_keeps_the_ego_and_moves_the_other(crossing: Run) -> None:
     assert (np.diff(centres[:, 0]) >= 0.0).all() and not centres[:, 1].any()
 
 
+def test_films_hold_those_told_of_and_give_way_before_they_have_to(crossing: Run) -> None:
+    """An ego that drives east at 8 m/s; told, in frames 100 to 199, of somebody 50 m north."""
+    from hatn_sim.report.animation import _following
+    from hatn_sim.report.picture import WIDE_M
+
+    ego_xy_m = np.stack((0.8 * np.arange(300.0), np.zeros(300)), axis=1)
+    first = moment_at(crossing, 10, "eastbound")
+    said = Suggestion("eastbound", 1.0, "yield", "northbound", 0.9, 0.8, None, 5.0, True, "Yield")
+
+    def moment(frame: int) -> Moment:
+        xy_m = np.stack((ego_xy_m[frame], ego_xy_m[frame] + [0.0, 50.0]))
+        told = said if 100 <= frame < 200 else None
+        scene = replace(first.scene, xy_m=xy_m)
+        return replace(first, scene=scene, slots=(), suggestion=told)
+
+    assert first.scene.ids == ("eastbound", "northbound")
+    centres, width_m = _following(ego_xy_m, 1.5, map(moment, range(300)))
+    # 50 m, 2 m of cars at both ends and 2.5 m around them are 59 m; at 88 m by 58.7 m, a bit more.
+    assert width_m == pytest.approx(1.5 * 59.0) and width_m > WIDE_M
+    half = 0.5 * np.array([width_m, width_m / 1.5])
+    for frame in range(100, 200):
+        for place in (ego_xy_m[frame], ego_xy_m[frame] + [0.0, 50.0]):
+            assert (np.abs(place - centres[frame]) < half).all()
+    np.testing.assert_allclose(centres[[0, 40, 260, 299]], ego_xy_m[[0, 40, 260, 299]], atol=1e-9)
+    # It comes to be 25 m aside over 4 s.
+    assert np.abs(np.diff(centres[:, 1])).max() < 25.0 / 40.0
+    assert centres[150, 1] == pytest.approx(25.0, abs=0.1)
+
+
 def test_a_moving_sheet_shows_what_a_standing_one_does(crossing: Run) -> None:
     from hatn_sim.log.road_file import ROAD_FILE, read_road
     from hatn_sim.report.canvas import FILM
@@ -434,6 +472,24 @@ def test_others_are_on_the_egos_way_only_where_they_cross_it(crossing: Run) -> N
     assert 0 < other.on_way.sum() < 6
 
 
+def test_who_the_ego_is_told_of_goes_before_those_met_for_longer() -> None:
+    """Eight others in the ego's choice for ever fewer frames; told of the one met least."""
+    others, frames = np.arange(1, 9), np.arange(10)
+    node = np.tile(np.append(0, others), (len(frames), 1))
+    focus = np.column_stack([frames < 10 - k for k in range(9)])
+    focus[:, 0] = True
+    focus[6] = np.isin(node[6], (0, 3, 2))  # the choice at the moment, frame 6
+    other_m = np.tile(20.0 + np.arange(9), (len(frames), 1))
+    other_m[6, 3] = 5.0
+    choices: Any = SimpleNamespace(
+        frame=frames, node=node, focus=focus, other_m=other_m, ego_m=np.full(node.shape, 9.0)
+    )
+    told = [vehicle for vehicle, _, _ in space_time_of._met(choices, frames, 6, [8])]
+    assert told == [8, 3, 2, 1, 4, 5]
+    # Frame 9 is the last with each of them in its graph; the one told of is looked for in all.
+    assert {(v, row) for v, row, _ in space_time_of._met(choices, frames, 6, [8])} >= {(8, 9)}
+
+
 def test_figures_name_what_is_in_them(crossing: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bands, whiskers, hollow rings, panels; read off the figures that are about to be written."""
     drawn: list[Figure] = []
@@ -449,6 +505,8 @@ def test_figures_name_what_is_in_them(crossing: Run, monkeypatch: pytest.MonkeyP
     assert {"95 % interval of the mean", "the same, both axes logarithmic"} <= errors
     assert {"car northbound", "likeliest prediction, once a second"} <= ways
     assert {"on the ego's way, bumper to bumper", "the conflict is free"} <= ways
+    assert {"upright: the moment, 101.0 s", "level: conflict with who has its colour"} <= ways
+    assert any("black, to yield" in words for words in ways)
 
 
 def test_recall_is_told_with_its_events() -> None:
@@ -461,6 +519,64 @@ def test_recall_is_told_with_its_events() -> None:
         score("c", "hatn", "all", 5, "recall_1s5"),
     ]
     assert events_by_scene(scores) == {"a": 7, "b": 0}
+
+
+def test_intervals_of_a_tables_folder_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whiskers end where the scores say, at the false alarms of the courteous."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(
+        assistance_figure, "save_figure", lambda figure, paths: drawn.append(figure)
+    )
+    told = {
+        ("event_recall", "all"): (0.5, 0.2, 0.8), ("event_recall", "courteous"): (0.1, 0.0, 0.3),
+        ("false_alarms_per_hour", "courteous"): (2.0, 1.0, 3.0),
+        ("false_alarms_per_hour", "all"): (9.0, 8.0, 10.0),
+        ("recall_1s5", "all"): (0.5, 0.5, 0.5), ("lead_time_s", "all"): (None, None, None),
+    }  # fmt: skip
+    write_scores(
+        tmp_path,
+        [
+            Score(measure, "hatn", "a", subset, "none", value, "1", 2, low, high)
+            for (measure, subset), (value, low, high) in told.items()
+        ],
+    )
+    curves = {
+        "a": {"hatn": [Operating(0.5, 1.0, 0.9, 0.8, 2.0), Operating(0.2, 3.0, 1.0, 1.0, 2.0)]}
+    }
+    write_curves(tmp_path / "curves.csv", curves)
+    assert main(["figures", str(tmp_path), "--formats", "png"]) == 0
+    lines = [
+        [
+            line.get_xydata().tolist()
+            for line in axes.lines
+            if line.get_transform() != axes.transData
+        ]
+        for axes in drawn[0].axes
+    ]
+    whisker, mark = [[2.0, 0.2], [2.0, 0.8]], [[2.0, 0.5]]
+    at = [[one for one in of_axes if one[0][0] == 2.0] for of_axes in lines]
+    assert at == [[whisker, mark], [mark], []]  # nobody differs: no interval; no value: no mark
+
+
+def test_who_was_trained_on_a_scene_is_marked_in_the_figure_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(steps_figure, "save_figure", lambda figure, paths: drawn.append(figure))
+    rising = np.linspace(0.1, 3.0, HORIZON_FRAMES)
+    of = {name: StepErrors("a", name, "moving", *[rising] * 4, n=9) for name in ("hatn", "idm")}
+    path = tmp_path / "steps.csv"
+    write_steps(path, [replace(of["hatn"], trained=True), of["idm"]])
+    assert [one.trained for one in read_steps(path)] == [True, False]
+    assert main(["figures", str(tmp_path), "--formats", "png"]) == 0
+    words = {text.get_text() for text in drawn[0].findobj(Text)}
+    assert {"hatn*", "idm", "* its weights were trained on runs of this scene"} <= words
+    # Tables made before this was kept are still read.
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join(row.rsplit(",", 1)[0] for row in rows) + "\n")
+    assert [one.trained for one in read_steps(path)] == [False, False]
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from page_runs import (
 from hatn_sim.datatypes import DT_S, Score
 from hatn_sim.log import read_run
 from hatn_sim.log.schema import ALERTS_FILE
+from hatn_sim.report.moment import moment_at
 from hatn_sim.report.page.page import write_page
 from hatn_sim.report.table import write_scores
 
@@ -188,6 +189,12 @@ def test_alerts_and_events_lead_to_their_moments(browser: Any, run_folder: Path)
     assert "near northbound" in browser.find_element("id", "panel").text
     said = {ego: opened(browser, run_folder, f"#t={onset_s}&ego={ego}")["said"] for ego in DRIVERS}
     assert said["northbound"] == f"eastbound is told: {said['eastbound']}"
+    assert not browser.find_element("css selector", "#panel .advice").is_displayed()
+    run = read_run(run_folder)
+    for frame in (ALERT_FRAMES[0] - 5, ALERT_FRAMES[0], ALERT_FRAMES[1] + 5):
+        for ego in DRIVERS:  # as the picture of a moment has it
+            now = opened(browser, run_folder, f"#t={FIRST_S + DT_S * frame}&ego={ego}")
+            assert now["said"] == moment_at(run, frame, ego).headline
     rows = browser.find_elements("css selector", "#moments tbody tr")
     crash = next(row for row in rows if "T1" in row.text)
     crash.find_element("tag name", "button").click()
@@ -336,6 +343,79 @@ def test_the_ego_those_it_is_told_of_and_their_conflict_are_seen(
     finally:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
         browser.set_window_size(before["width"], before["height"])
+
+
+SEEN_AT_ONCE = f"""
+    const [size, boxes] = (() => {{ {OVER_THE_MAP} }})();
+    const now = window.hatn.now(), driven = 8 * (now.time_s - arguments[0]);
+    const places = [[driven - 20, 0], [0, driven - 36], [0, 0]];
+    return [now, size, boxes, places.map((place) => window.hatn.pixel(...place))];
+"""
+
+
+def is_clear(place: list[float], size: list[float], boxes: list[list[float]]) -> bool:
+    inside = 0.0 < place[0] < size[0] and 0.0 < place[1] < size[1]
+    return inside and outside_of_all((place[0], place[1]), boxes)
+
+
+@pytest.mark.parametrize("is_followed", [False, True])
+@pytest.mark.parametrize("size", [(1200, 1000), (390, 844)])
+def test_while_it_plays_those_told_of_stay_clear(
+    browser: Any, run_folder: Path, size: tuple[int, int], is_followed: bool
+) -> None:
+    """Both drive on at 8 m/s, 80 m in all: places by hand at the time that the page tells."""
+    phone = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        first = opened(browser, run_folder, f"#t={FIRST_S + 0.5}&ego=eastbound")
+        pressed(browser, *("]]f" if is_followed else "]]"), " ")  # four times as fast
+        seen: list[tuple[float, bool]] = []
+        while not seen or seen[-1][0] < FIRST_S + 10.0:
+            now, wide_high, boxes, (ego, other, _) = browser.execute_script(SEEN_AT_ONCE, FIRST_S)
+            assert now["playing"] and now["speed"] == 4
+            clear = is_clear(ego, wide_high, boxes) and is_clear(other, wide_high, boxes)
+            seen.append((now["time_s"], clear))
+            assert now["scale"] <= first["scale"] + 1e-6
+        assert len(seen) > 3 and all(clear for _, clear in seen), seen
+        pressed(browser, " ")
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_camera_that_a_hand_has_moved_stays(browser: Any, run_folder: Path) -> None:
+    opened(browser, run_folder, f"#t={FIRST_S + 0.5}&ego=eastbound")
+    pressed(browser, "-", "]", "]", " ")
+    *_, (_, _, before) = browser.execute_script(SEEN_AT_ONCE, FIRST_S)
+    waited(browser, lambda now: now["time_s"] > FIRST_S + 9.0)
+    *_, (_, _, after) = browser.execute_script(SEEN_AT_ONCE, FIRST_S)
+    assert after == before
+    pressed(browser, " ")
+
+
+def test_an_event_shows_both_of_it_and_where_they_met(browser: Any, tmp_path: Path) -> None:
+    """Told by the one who is advised nothing: it comes from the south, 28 m from the other."""
+    names = ("zulu", "alpha")  # eastbound, northbound: events name the first by the alphabet
+    folder = made_up_run(tmp_path / "run", names=names)
+    write_page(read_run(folder), folder, (0, "zulu"))
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        opened(browser, folder)
+        rows = browser.find_elements("css selector", "#moments tbody tr")
+        crash = next(row for row in rows if "T1" in row.text)
+        browser.execute_script("arguments[0].click()", crash.find_element("tag name", "button"))
+        crash_s = FIRST_S + DT_S * COLLISION_FRAME
+        words = "where they met"  # drawn, and so the camera is set up
+        now = waited(browser, lambda now: words in {one["words"] for one in now["labels"]})
+        assert abs(now["time_s"] - crash_s) < 1e-6
+        assert (now["ego"], now["named"]) == ("alpha", [])
+        # The lanes cross at (0, 0), where the one was 2 s before the other.
+        assert now["met_xy_m"] == pytest.approx([0.0, 0.0], abs=1.0)
+        _, size, boxes, places = browser.execute_script(SEEN_AT_ONCE, FIRST_S)
+        assert all(is_clear(place, size, boxes) for place in places)
+        assert "green car: collision" in {label["words"] for label in now["labels"]}
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def test_labels_lie_on_nothing_that_is_told(browser: Any, run_folder: Path) -> None:

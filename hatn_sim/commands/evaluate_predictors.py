@@ -36,8 +36,12 @@ def main(arguments: argparse.Namespace) -> int:
 
     arguments.predictors = arguments.predictors or PREDICTORS
     out = free_or_own_folder(arguments.out, "evaluate")
-    logged, scores = scored_runs(arguments, out)
-    steps = errors_by_step(logged)
+    logged, scores, learnt = scored_runs(arguments, out)
+    steps = [
+        # Who is given the routes has another name in scores.
+        replace(one, trained=one.scene in learnt[one.predictor.removesuffix("+route")])
+        for one in errors_by_step(logged)
+    ]
     path = write_scores(out, scores)
     write_steps(out / STEPS_FILE, steps)
     draw_steps(steps, [out / name for name in FIGURES])
@@ -50,14 +54,18 @@ def main(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def scored_runs(arguments: argparse.Namespace, out: Path) -> tuple[list[Run], list[Score]]:
-    """The logs of all runs that are asked for, made where they are not there, and their scores.
+def scored_runs(
+    arguments: argparse.Namespace, out: Path
+) -> tuple[list[Run], list[Score], dict[str, list[str]]]:
+    """The logs of all runs that are asked for, made where they are not there, and their scores;
+    and by predictor the scenes that its weights were trained on.
 
     By scene; scores say where a network is judged on what it learnt from.
 
     Raises HatnSimError, and KeyboardInterrupt, where one of them fails; the others stay.
     """
     from hatn_sim.commands.chosen_predictors import load_predictors
+    from hatn_sim.commands.run_header import trained_on
     from hatn_sim.evaluation.runs import is_there
     from hatn_sim.evaluation.seen import Judged, said_of_seen, with_seen
     from hatn_sim.log import read_run
@@ -80,7 +88,8 @@ def scored_runs(arguments: argparse.Namespace, out: Path) -> tuple[list[Run], li
     with finished_runs_stay(out):
         _make(wanted, arguments.workers or cores(), arguments.quiet)
     logged = [read_run(plan.out) for plan in plans]
-    return logged, with_seen(score_runs(logged), seen)
+    learnt = {predictor.name: trained_on(predictor) for predictor in predictors}
+    return logged, with_seen(score_runs(logged), seen), learnt
 
 
 def _make(plans: Sequence[RunPlan], workers: int, quiet: bool) -> None:

@@ -31,7 +31,7 @@ def main(arguments: argparse.Namespace) -> int:
         arguments.scenes = arguments.scenes or SCENES
     arguments.predictors = arguments.predictors or (*sorted(READS_WEIGHTS), *PREDICTORS)
     out = free_or_own_folder(arguments.out, "sota")
-    logged, scores = scored_runs(arguments, out)
+    logged, scores, _ = scored_runs(arguments, out)
     write_scores(out, scores)
     entries = compare(SOTA, _rows(scores))
     write_csv(out / CSV_FILE, entries)

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hatn_sim.datatypes import DT_S, FloatArray
 from hatn_sim.errors import InputError
 from hatn_sim.log import Run
 from hatn_sim.report.film_file import Pixels, write_gif, write_mp4
 from hatn_sim.report.moment import Moment, read_moments
-from hatn_sim.report.picture import WIDE_M, camera, caption
+from hatn_sim.report.picture import WIDE_M, WIDEST_M, caption, framed, holding, told_of
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -104,7 +106,8 @@ def _camera(
 ) -> tuple[FloatArray, float, Iterator[Moment] | Sequence[Moment]]:
     """Centres [N, 2] of the camera, the width of what it sees, and the moments to be shown."""
     frames = np.arange(stretch.start, stretch.stop)
-    found = read_moments(run, stretch.frames, stretch.ego_id)
+    again = partial(read_moments, run, stretch.frames, stretch.ego_id)
+    found = again()
     if stretch.ego_id in run.ids:
         ego = run.ids.index(stretch.ego_id)
         xy_m, seen = run.trajectories.xy_at(ego, frames)
@@ -114,12 +117,12 @@ def _camera(
                 f"to {stretch.stop - 1}; name another vehicle or time"
             )
         if stretch.follow:
-            return _smooth(frames, xy_m, seen), WIDE_M, found
+            return *_following(_smooth(frames, xy_m, seen), aspect, found), again()
     moments = list(found)
     with_ego = [moment for moment in moments if stretch.ego_id in moment.scene.ids]
     # What comes after the last choice is the ego on its way out of the picture.
     choosing = [moment for moment in with_ego if sum(slot.in_focus for slot in moment.slots) > 1]
-    centre, width_m = camera(choosing or with_ego, aspect)
+    centre, width_m = framed(choosing or with_ego, aspect)
     return np.tile(centre, (len(frames), 1)), width_m, moments
 
 
@@ -130,6 +133,27 @@ def _smooth(frames: Any, xy_m: FloatArray, seen: Any) -> FloatArray:
     return np.stack(
         [np.interp(at, frames[seen], xy_m[seen, k]).mean(axis=1) for k in (0, 1)], axis=1
     )
+
+
+def _following(
+    centres: FloatArray, aspect: float, moments: Iterator[Moment]
+) -> tuple[FloatArray, float]:
+    """Centres [N, 2] that give way from those of the ego for whom it is told of, and the width.
+
+    The way is given before it has to be, and slowly.
+    """
+    told = [told_of(moment) for moment in moments]
+    wide = [holding(centre, WIDE_M, aspect, p)[1] for centre, p in zip(centres, told, strict=False)]
+    width_m = max([WIDE_M, *(one for one in wide if one <= WIDEST_M)])
+    aside = np.zeros_like(centres)
+    for k, points in enumerate(told):
+        held, needed_m = holding(centres[k], width_m, aspect, points)
+        aside[k] = held - centres[k] if needed_m <= width_m else 0.0
+    size = 2 * SMOOTH_FRAMES + 1
+    for sign in (1.0, -1.0):
+        most = maximum_filter1d(np.maximum(sign * aside, 0.0), size, axis=0, mode="nearest")
+        centres = centres + sign * uniform_filter1d(most, size, axis=0, mode="nearest")
+    return centres, width_m
 
 
 def _small(pixels: Pixels) -> Image.Image:

@@ -6,7 +6,7 @@ Imports matplotlib, so import this module only where something is drawn.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import matplotlib as mpl
@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
 from hatn_sim.datatypes import FloatArray, Gate, Lane
+from hatn_sim.report.label_width import HINTED, width_pt
 from hatn_sim.report.letters import readable
 from hatn_sim.report.road_shapes import EDGE_M, Box, RoadShapes, Surface, road_shapes
 
@@ -56,7 +57,7 @@ DARK_ROAD: Final = RoadColours(KERB, ASPHALT, PATHWAY, RAIL, PAINT)
 
 
 PROBABILITY: Final = LinearSegmentedColormap.from_list(
-    "insertion probability", mpl.colormaps["viridis"](np.linspace(0.08, 1.0, 256))
+    "slot", mpl.colormaps["viridis"](np.linspace(0.08, 1.0, 256))
 )
 """Perceptually uniform and safe for the colour-blind; without the end that is dark as asphalt."""
 
@@ -99,6 +100,7 @@ class Sheet:
     shapes: RoadShapes
     style: Style
     points_per_m: float
+    keys_in: float = 0.0  # from left, where the legend has room for the keys of a moment
 
     @property
     def agg(self) -> FigureCanvasAgg:
@@ -142,8 +144,7 @@ def open_sheet(
     shapes = road_shapes(lanes, box)
     sheet = Sheet(figure, page, axes, box, shapes, style, 72.0 * map_width_in / width_m)
     draw_road(axes, shapes, sheet.points_per_m, DARK_ROAD)
-    _draw_legend(sheet)
-    return sheet
+    return replace(sheet, keys_in=_draw_legend(sheet))
 
 
 def quad(middle_xy_m: FloatArray, half_m: float) -> FloatArray:
@@ -239,66 +240,76 @@ def _bars(gate: Gate, corners_xy_m: FloatArray) -> list[FloatArray]:
     return teeth
 
 
-def _draw_legend(sheet: Sheet) -> None:
-    """Colour bar, legend and scale bar in the footer, each with its own room."""
+def _draw_legend(sheet: Sheet) -> float:
+    """Colour bar, signs and scale bar in the footer; returns where there is room for more signs."""
     style, page = sheet.style, sheet.page
-    size, y = 0.84 * style.font_pt, 0.5 * style.footer_in
-    em = size / 72.0  # inches
+    size, y, em = _letters(style)
     text: dict[str, Any] = {"fontsize": size, "color": INK, "va": "center", "zorder": 5}
-    soft: dict[str, Any] = {**text, "color": SOFT_INK}
-    x = style.margin_in
-    page.text(x, y, "insertion probability", **text)
-    x += 11.6 * em
-    page.text(x, y, "0", ha="right", **soft)
-    bar = (x + 0.5 * em, x + 9.0 * em, y - 0.42 * em, y + 0.42 * em)
+    x = _words(sheet, style.margin_in, "slot, 0", gap_em=0.5)
+    bar = (x, x + 5.0 * em, y - 0.42 * em, y + 0.42 * em)
     page.imshow(
         np.linspace(0.0, 1.0, 256)[None], cmap=PROBABILITY, extent=bar, aspect="auto", zorder=5
     )
     page.set(xlim=(0.0, style.width_in), ylim=(0.0, style.height_in))  # imshow moves them
-    page.text(bar[1] + 0.5 * em, y, "100 %", **soft)
+    x = _words(sheet, bar[1] + 0.5 * em, "100 %")
 
-    x = bar[1] + 5.4 * em
     at = _swatch(sheet, x, y, em)
     page.plot(at, np.full(4, y), color=PREDICTED, lw=0.28 * size, alpha=0.75, zorder=5)
     page.plot(at, np.full(4, y), "o", color=PREDICTED, ms=0.5 * size, mec="none", zorder=5)
-    page.text(x + 4.5 * em, y, "predicted, 3 s, a dot each 0.5 s", **text)
+    x = _words(sheet, x + 3.5 * em, "predicted, 3 s, a dot each 0.5 s")
 
-    x += 21.6 * em
     at = _swatch(sheet, x, y, em)
     page.plot(at, np.full(4, y), color=ACTUAL, lw=1.2, zorder=5)
     page.plot(at[-1:], [y], "o", mfc=ASPHALT, mec=ACTUAL, mew=1.0, ms=0.5 * size, zorder=6)
-    page.text(x + 4.5 * em, y, "what happened", **text)
+    x = _words(sheet, x + 3.5 * em, "what happened")
 
-    x += 13.4 * em
+    x += 0.4 * em
     page.plot([x], [y], "D", mfc=INK, mec="white", mew=0.9, ms=0.62 * size, zorder=5)
-    page.text(x + 0.9 * em, y, "conflict", **text)
+    x = _words(sheet, x + 0.9 * em, "conflict")
 
     length_in = SCALE_BAR_M * sheet.points_per_m / 72.0
     right = style.width_in - style.margin_in
     ends = (right - length_in, right)
     page.plot(ends, (y, y), color=INK, lw=1.6, solid_capstyle="butt", zorder=5)
     page.text(ends[0] - 0.6 * em, y, f"{SCALE_BAR_M:g} m", ha="right", **text)
+    return x
 
 
-ALERT_KEY_EM: Final = 67.2
-"""Where the key of alerts stands in the legend, after the others."""
+def _letters(style: Style) -> tuple[float, float, float]:
+    """Of the legend: their size in points, the middle of their line and an em in inches."""
+    size_pt = 0.84 * style.font_pt
+    return size_pt, 0.5 * style.footer_in, size_pt / 72.0
 
 
-def draw_alert_key(sheet: Sheet) -> list[Artist]:
-    """The key of alerts in the legend, for moments that have one."""
-    size, y = 0.84 * sheet.style.font_pt, 0.5 * sheet.style.footer_in
-    em = size / 72.0
-    x = sheet.style.margin_in + ALERT_KEY_EM * em
-    ring = sheet.page.plot([x], [y], "o", mfc="white", mec=ALERT, mew=1.6, ms=0.95 * size, zorder=5)
-    words = sheet.page.text(x + em, y, "alert", fontsize=size, color=INK, va="center", zorder=5)
-    return [*ring, words]
+def _words(sheet: Sheet, x_in: float, words: str, gap_em: float = 1.2) -> float:
+    """Words in the legend; returns where the next sign begins."""
+    size_pt, y, em = _letters(sheet.style)
+    sheet.page.text(x_in, y, words, fontsize=size_pt, color=INK, va="center", zorder=5)
+    return x_in + HINTED * width_pt(words, size_pt) / 72.0 + gap_em * em
+
+
+def draw_keys(sheet: Sheet, has_signals: bool, has_alerts: bool) -> list[Artist]:
+    """The keys of signals and alerts in the legend, for moments that have some."""
+    page, before = sheet.page, {*sheet.page.get_children()}
+    size, y, em = _letters(sheet.style)
+    x = sheet.keys_in
+    if has_signals:
+        for colour, words in ((CLOSED, "signal closed"), (OPEN, "open")):
+            page.plot([x, x + 1.2 * em], [y, y], color=colour, lw=0.5 * size, zorder=5)
+            x = _words(sheet, x + 1.7 * em, words, gap_em=0.8)
+        x += 0.3 * em
+    if has_alerts:
+        x += 0.5 * em
+        page.plot([x], [y], "o", mfc="white", mec=ALERT, mew=1.6, ms=0.95 * size, zorder=5)
+        _words(sheet, x + em, "alert")
+    return [one for one in page.get_children() if one not in before]
 
 
 def _swatch(sheet: Sheet, x_in: float, y_in: float, em_in: float) -> FloatArray:
     """A piece of road in the legend; returns four places along it."""
     road = FancyBboxPatch(
         (x_in, y_in - 0.75 * em_in),
-        4.0 * em_in,
+        3.0 * em_in,
         1.5 * em_in,
         boxstyle=f"round,pad=0,rounding_size={0.35 * em_in}",
         facecolor=ASPHALT,
@@ -306,5 +317,5 @@ def _swatch(sheet: Sheet, x_in: float, y_in: float, em_in: float) -> FloatArray:
         zorder=4,
     )
     sheet.page.add_patch(road)
-    places: FloatArray = np.linspace(x_in + 0.6 * em_in, x_in + 3.4 * em_in, 4)
+    places: FloatArray = np.linspace(x_in + 0.5 * em_in, x_in + 2.5 * em_in, 4)
     return places

@@ -172,8 +172,8 @@ def _in_the_end(case: Case, cast: Mapping[str, Part], row: int, said: str) -> Wo
     elif (ego_at >= 0).any():
         return Words(said, "It went; nobody was seen to follow soon.", False)
     else:
-        seconds = NEXT_FRAMES * DT_S
-        return Words(said, f"Nobody was seen to cross within {seconds:.0f} s.", False)
+        # So far it was looked at, however soon that was.
+        return Words(said, "Nobody was seen to cross until the end of the run.", False)
     verdict = "Wrong" if is_wrong else "Right"
     later = f"{(at - frame) * DT_S:.1f}\u00a0s later"
     return Words(said, f"{verdict} in the end: {did}, {later}.{BEYOND}", is_wrong)

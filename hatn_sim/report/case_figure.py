@@ -26,7 +26,8 @@ from hatn_sim.report.case_map import MapView, draw_map, open_view
 from hatn_sim.report.cases import Case
 from hatn_sim.report.figures import save_figure
 from hatn_sim.report.moment import Moment, read_moments
-from hatn_sim.report.picture import UNFINISHED, camera
+from hatn_sim.report.picture import UNFINISHED, camera, framed, told_of
+from hatn_sim.report.road_shapes import lamps_in
 
 WIDTH_IN: Final = 7.2
 """As wide as the text of a page in two columns, so that sizes in points are those in print."""
@@ -43,6 +44,8 @@ ASPECT: Final = 1.08
 """Width over height of a scene."""
 WIDTHS_M: Final = (36.0, 58.0)
 """A scene shows at least and at most so much of the map from left to right."""
+WIDEST_M: Final = 72.0
+"""... and where somebody that the ego is told of is far away, so much."""
 PADDING_M: Final = 5.0
 NEAR_M: Final = 40.0
 """Whoever is met within this of the ego had better be in the picture."""
@@ -77,7 +80,9 @@ def draw_case(case: Case, paths: Sequence[Path]) -> None:
         _draw_panel(page, case, k, (left, top), map_in, moment, view, cast)
     is_beyond = any(panel_words(case, cast, at).happened.endswith(BEYOND) for at in case.frames)
     ends_in, note = (MARGIN_IN, WIDTH_IN - MARGIN_IN), BEYOND_WORDS if is_beyond else ""
-    draw_legend(page, ends_in, FOOTER_IN, views[0].points_per_m, note)
+    pairs = zip(views, moments, strict=True)
+    has_signals = any(lamps_in(view.shapes, view.box, one.scene) for view, one in pairs)
+    draw_legend(page, ends_in, FOOTER_IN, views[0].points_per_m, note, has_signals)
     save_figure(figure, paths, facecolor=PAPER)
 
 
@@ -89,11 +94,11 @@ def _views(case: Case, moments: Sequence[Moment], map_in: tuple[float, float]) -
     """All panels on one scale; one view for all where it holds the ego's whole story."""
     lanes = read_road(case.run.path / ROAD_FILE)
     centre, width_m = camera(moments, ASPECT, WIDTHS_M, PADDING_M)
-    on_way = np.concatenate([_on_way(moment) for moment in moments])
+    on_way = np.concatenate([p for one in moments for p in (_on_way(one), told_of(one))])
     half_m = 0.5 * width_m * np.array([1.0, 1.0 / ASPECT]) - 0.5 * PADDING_M
     if (np.abs(on_way - centre) <= half_m).all():
         return [open_view(lanes, centre, width_m, map_in)] * len(moments)
-    single = [camera([moment], ASPECT, WIDTHS_M, PADDING_M) for moment in moments]
+    single = [framed([one], ASPECT, WIDTHS_M, PADDING_M, WIDEST_M) for one in moments]
     width_m = max(width for _, width in single)
     return [open_view(lanes, middle, width_m, map_in) for middle, _ in single]
 

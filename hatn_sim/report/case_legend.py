@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
-from hatn_sim.report.canvas import INK
+from hatn_sim.report.canvas import CLOSED, INK, OPEN
 from hatn_sim.report.case_cast import BLACK, COLOURS
 from hatn_sim.report.case_map import PALE, PALE_EDGE, shade
 from hatn_sim.report.label_width import width_pt
@@ -27,6 +27,7 @@ def draw_legend(
     height_in: float,
     points_per_m: float,
     note: str = "",
+    has_signals: bool = False,
 ) -> None:
     """Two lines at the foot of a page in inches, with a note, and a bar as long as `SCALE_M` is."""
     blue, upper, lower = COLOURS[1], 0.68 * height_in, 0.28 * height_in
@@ -38,9 +39,12 @@ def draw_legend(
         slot = Rectangle((x + 0.14 * k, upper - 0.04), 0.12, 0.08, facecolor=shade(blue, chance))
         slot.set(edgecolor=blue, linewidth=0.7, linestyle=(0.0, (2.2, 1.2)))
         page.add_patch(slot)
-    x = _words(page, x + 0.54, upper, "insertion area and its node: the darker, the likelier")
+    x = _words(page, x + 0.54, upper, "slot and node: darker is likelier")
     page.plot([x + 0.03], [upper], "o", ms=3.2, mfc="white", mec=PALE_EDGE, mew=0.5)
-    _words(page, x + 0.06, upper, "of another conflict")
+    x = _words(page, x + 0.06, upper, "of another conflict")
+    for colour, words in ((CLOSED, "signal closed"), (OPEN, "open")) if has_signals else ():
+        page.plot([x, x + 0.12], [upper, upper], color=colour, lw=2.6, solid_capstyle="butt")
+        x = _words(page, x + 0.12, upper, words) - 0.04
 
     x = span_in[0]
     along = np.linspace(x, x + 0.3, 4)

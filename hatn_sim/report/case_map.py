@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 from matplotlib.path import Path as Outline
 
-from hatn_sim.datatypes import FloatArray, Gate, Kind, Lane
+from hatn_sim.datatypes import FloatArray, Kind, Lane
 from hatn_sim.report.canvas import (
     CLOSED,
     INK,
@@ -28,7 +28,7 @@ from hatn_sim.report.canvas import (
 from hatn_sim.report.case_cast import Part
 from hatn_sim.report.label_places import Label, place_labels
 from hatn_sim.report.moment import Moment, moves
-from hatn_sim.report.road_shapes import Box, RoadShapes, road_shapes
+from hatn_sim.report.road_shapes import Box, RoadShapes, lamps_in, road_shapes
 from hatn_sim.report.vehicle_shapes import BODY, outline, placed, vehicle_parts
 
 PAPER_ROAD: Final = RoadColours(
@@ -90,11 +90,9 @@ def draw_map(axes: Axes, view: MapView, moment: Moment, cast: Mapping[str, Part]
 
 
 def _draw_signals(axes: Axes, view: MapView, moment: Moment) -> None:
-    closed = moment.scene.signal_closed
-    for line in view.shapes.stop_lines:
-        if line.gate is Gate.SIGNAL and line.signals and max(line.signals) < len(closed):
-            colour = CLOSED if closed[list(line.signals)].all() else OPEN
-            axes.fill(*line.corners_xy_m.T, facecolor=colour, linewidth=0.0, zorder=3.2)
+    for line, is_closed in lamps_in(view.shapes, view.box, moment.scene):
+        colour = CLOSED if is_closed else OPEN
+        axes.fill(*line.corners_xy_m.T, facecolor=colour, linewidth=0.0, zorder=3.2)
 
 
 def _draw_slots(axes: Axes, moment: Moment, cast: Mapping[str, Part]) -> None:

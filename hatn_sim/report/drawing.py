@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -12,9 +12,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 
-from hatn_sim.datatypes import FloatArray, Gate
+from hatn_sim.datatypes import FloatArray
 from hatn_sim.report.canvas import (
     ACTUAL,
+    ALERT,
     ASPHALT,
     CLOSED,
     INK,
@@ -25,22 +26,24 @@ from hatn_sim.report.canvas import (
     SOFT_INK,
     Sheet,
     columns,
-    draw_alert_key,
+    draw_keys,
     mixed,
     plain,
     quad,
 )
 from hatn_sim.report.drawing_labels import draw_labels
 from hatn_sim.report.drawing_vehicles import draw_vehicles
-from hatn_sim.report.drawing_warning import draw_warning
 from hatn_sim.report.label_width import fitting_pt
 from hatn_sim.report.moment import Moment, moves
+from hatn_sim.report.road_shapes import lamps_in
 from hatn_sim.report.vehicle_shapes import placed, rounded
 
 STRIP_HALF_M: Final = 1.05
 STRIP_ALPHA: Final = 0.86
 WAY_POINT_FRAMES: Final = 5
 CORNER_IN: Final = 0.1
+FIELD_PAD: Final = 0.35
+"""Of the field of an alert, around its words, in their size."""
 
 
 def draw_moment_on(
@@ -67,21 +70,20 @@ def draw_moment_on(
         *_draw_conflicts(sheet, moment),
         *_draw_frame(sheet),
         *_draw_header(sheet, moment, caption),
-        *draw_warning(sheet, moment),
-        *(draw_alert_key(sheet) if moment.alerts else ()),
+        *draw_keys(
+            sheet,
+            bool(lamps_in(sheet.shapes, sheet.box, moment.scene)),
+            bool(moment.alerts),
+        ),
     ]
     labels, offsets = draw_labels(sheet, moment, labels_before)
     return [*artists, *labels], offsets
 
 
 def _draw_signals(sheet: Sheet, moment: Moment) -> list[Artist]:
-    closed = moment.scene.signal_closed
-    bars: list[FloatArray] = []
-    colours: list[str] = []
-    for line in sheet.shapes.stop_lines:
-        if line.gate is Gate.SIGNAL and line.signals and max(line.signals) < len(closed):
-            bars.append(line.corners_xy_m)
-            colours.append(CLOSED if closed[list(line.signals)].all() else OPEN)
+    shown = lamps_in(sheet.shapes, sheet.box, moment.scene)
+    bars = [line.corners_xy_m for line, _ in shown]
+    colours = [CLOSED if is_closed else OPEN for _, is_closed in shown]
     lamps = PolyCollection(bars, facecolors=colours, linewidths=0.0, zorder=3.2)
     return [sheet.map.add_collection(lamps)]
 
@@ -221,33 +223,40 @@ def _draw_frame(sheet: Sheet) -> list[Artist]:
 
 
 def _draw_header(sheet: Sheet, moment: Moment, caption: str) -> list[Artist]:
+    """What the ego is told, an alert in a red field; below it, what this is a picture of."""
     style, page = sheet.style, sheet.page
-    top = style.height_in
-    said = moment.suggestion
-    title, colour = "No advice needed right now", SOFT_INK
-    if not moment.is_advised:
-        title = "Driven without advice"
-    if said is not None:
-        title, colour = f"\u201c{said.text}\u201d", INK
-        if (age_s := moment.scene.time_s - said.time_s) > 0.25:
-            caption += f"  ·  advised {age_s:.1f} s before"
-    title, caption = plain(title), plain(caption)
-    wide_pt = 72.0 * (style.width_in - 2.0 * style.margin_in)
+    top, wide_pt = style.height_in, 72.0 * (style.width_in - 2.0 * style.margin_in)
+    said, words, size_pt = moment.suggestion, moment.headline, 1.5 * style.font_pt
+    title: dict[str, Any] = {"fontweight": "bold", "va": "center", "color": INK}
+    left = style.margin_in
+    if words is None:
+        words = "No advice needed right now" if moment.is_advised else "Driven without advice"
+        title["color"] = SOFT_INK
+    elif moment.alarmed:
+        words, inset_pt = f"\u26a0  {words}", FIELD_PAD * size_pt
+        left, wide_pt = left + inset_pt / 72.0, wide_pt - 2.0 * inset_pt
+        box = {"boxstyle": f"round,pad={FIELD_PAD}", "facecolor": ALERT, "edgecolor": ALERT}
+        title |= {"color": "white", "bbox": box}
+    else:
+        words = f"\u201c{words}\u201d"
+        age_s = 0.0 if said is None else moment.scene.time_s - said.time_s
+        caption += f"  ·  advised {age_s:.1f} s before" if age_s > 0.25 else ""
+    words, caption = plain(words), plain(caption)
     return [
         page.text(
-            style.margin_in,
+            left,
             top - 0.36 * style.header_in,
-            title,
-            fontsize=fitting_pt(title, 1.5 * style.font_pt, wide_pt, bold=True),
-            fontweight="bold",
-            color=colour,
-            va="center",
+            words,
+            fontsize=fitting_pt(words, size_pt, wide_pt, bold=True),
+            **title,
         ),
         page.text(
             style.margin_in,
             top - 0.74 * style.header_in,
             caption,
-            fontsize=fitting_pt(caption, 0.95 * style.font_pt, wide_pt),
+            fontsize=fitting_pt(
+                caption, 0.95 * style.font_pt, 72.0 * (style.width_in - 2.0 * style.margin_in)
+            ),
             color=SOFT_INK,
             va="center",
         ),

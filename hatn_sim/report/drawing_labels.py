@@ -11,7 +11,6 @@ from matplotlib.patches import FancyBboxPatch
 
 from hatn_sim.datatypes import FloatArray
 from hatn_sim.report.canvas import ALERT, INK, PROBABILITY, Sheet, quad
-from hatn_sim.report.drawing_warning import warning_xy_m
 from hatn_sim.report.label_places import Label, place_labels
 from hatn_sim.report.label_width import width_pt
 from hatn_sim.report.moment import Moment
@@ -49,8 +48,7 @@ def draw_labels(
         if sheet.box.near(anchor, 0.0):
             wide_m = (width_pt(words[key], size_pt) + 2.6 * size_pt) * per_pt
             labels.append(Label(key, anchor, (wide_m, 1.75 * size_pt * per_pt)))
-    obstacles = np.concatenate((_obstacles(moment), warning_xy_m(sheet, moment)))
-    centres = place_labels(labels, obstacles, sheet.box, before)
+    centres = place_labels(labels, _obstacles(moment), sheet.box, before)
     drawn: list[Artist] = []
     offsets: dict[str, FloatArray] = {}
     for label in labels:

@@ -29,6 +29,7 @@ WARM_UP_FRAMES: Final = 200
 """Scenes perceived before the first one shown, so that lines and graphs are those of the run."""
 STILL_M: Final = 0.8
 """Shorter paths are not drawn."""
+NAME_LETTERS: Final = 30
 SLOT_REACH_M: Final = 45.0
 """A slot is shown up to this far ahead of the vehicle behind it."""
 
@@ -43,6 +44,15 @@ class Slot:
     probability: float | None  # None: not in focus, or the predictor gives none
     strip_xy_m: FloatArray  # [P, 2] middle of the strip, from the rear bumper boundary forward
     conflict_xy_m: FloatArray | None  # [2]; None: there is no conflict
+
+
+def _words_of(alert: Alert) -> str:
+    return alert.text or alert.reason or "Alert"
+
+
+def shortened(name: str) -> str:
+    """A name in a line of words: ids may be long."""
+    return name if len(name) <= NAME_LETTERS else f"{name[: NAME_LETTERS - 1]}\u2026"
 
 
 def moves(path_xy_m: FloatArray) -> bool:
@@ -99,16 +109,29 @@ class Moment:
         return next((one for one in reversed(self.alerts) if one.ego_id == self.ego_id), None)
 
     @property
+    def headline(self) -> str | None:
+        """What the ego is told, in words: an alert that names it goes before its advice.
+
+        As on the page: the latest alert that warns it, else the latest that warns another of it,
+        else its advice, of whatever kind. None: it is told nothing.
+        """
+        if self.warning is not None:
+            return _words_of(self.warning)
+        minding = [one for one in self.alerts if one.other_id == self.ego_id]
+        if minding:
+            return f"{shortened(minding[-1].ego_id)} is told: {_words_of(minding[-1])}"
+        return None if self.suggestion is None else self.suggestion.text
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether an alert names the ego."""
+        return any(self.ego_id in (one.ego_id, one.other_id) for one in self.alerts)
+
+    @property
     def named(self) -> tuple[str, ...]:
         """Whom the ego is told of, by its alerts and its advice; of those in view."""
-        warned = [
-            one.other_id if one.ego_id == self.ego_id else one.ego_id
-            for one in self.alerts
-            if self.ego_id in (one.ego_id, one.other_id)
-        ]
-        advised = [] if self.suggestion is None else [self.suggestion.slot_id]
-        told = dict.fromkeys([*warned, *advised])
-        return tuple(one for one in told if one is not None and one in self.scene.ids)
+        told = _told_of(self.ego_id, self.alerts, self.suggestion)
+        return tuple(one for one in told if one in self.scene.ids)
 
     @property
     def involved(self) -> set[str]:
@@ -241,6 +264,24 @@ def alerts_at(run: Run, frame: int) -> tuple[Alert, ...]:
         elif edge.edge == "end":
             standing.pop(edge.alert_id, None)
     return tuple(standing.values())
+
+
+def named_at(run: Run, frame: int, ego_id: str) -> tuple[str, ...]:
+    """Whom an ego is told of at a frame, by its alerts and its advice; of those of the run."""
+    told = _told_of(ego_id, alerts_at(run, frame), _suggestion(run, frame, ego_id))
+    return tuple(one for one in told if one in run.ids)
+
+
+def _told_of(
+    ego_id: str, alerts: Sequence[Alert], suggestion: Suggestion | None
+) -> tuple[str, ...]:
+    warned = [
+        one.other_id if one.ego_id == ego_id else one.ego_id
+        for one in alerts
+        if ego_id in (one.ego_id, one.other_id)
+    ]
+    advised = [] if suggestion is None else [suggestion.slot_id]
+    return tuple(one for one in dict.fromkeys([*warned, *advised]) if one is not None)
 
 
 def _suggestion(run: Run, frame: int, ego_id: str) -> Suggestion | None:

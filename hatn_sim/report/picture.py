@@ -18,6 +18,8 @@ __all__ = ["choose_moment", "draw_moment"]
 NARROW_M: Final = 62.0
 WIDE_M: Final = 88.0
 """A picture shows at least and at most this much of the map from left to right."""
+WIDEST_M: Final = 150.0
+"""Of what is shown for longer than a moment: more than that is seen too small."""
 PADDING_M: Final = 9.0
 RIM_M: Final = 2.5
 """Free around vehicles and conflicts that have to be in a picture."""
@@ -35,13 +37,11 @@ def draw_moment(run: Run, frame: int, ego_id: str, paths: Sequence[Path]) -> Non
     """
     from hatn_sim.report.canvas import POSTER, open_sheet
     from hatn_sim.report.drawing import draw_moment_on
-    from hatn_sim.report.drawing_warning import covered_in
     from hatn_sim.report.figures import save_figure
 
     moment = moment_at(run, frame, ego_id)
     wide, high = POSTER.map_in
-    covered = covered_in(POSTER) / high if moment.warning is not None else 0.0
-    centre, width_m = holding(*camera([moment], wide / high), wide / high, told_of(moment), covered)
+    centre, width_m = holding(*camera([moment], wide / high), wide / high, told_of(moment))
     sheet = open_sheet(POSTER, run.lanes, centre, width_m)
     draw_moment_on(sheet, moment, caption(run, moment))
     save_figure(sheet.figure, paths)
@@ -117,7 +117,6 @@ def holding(
     width_m: float,
     aspect: float,
     points_xy_m: FloatArray,
-    covered: float = 0.0,
 ) -> tuple[FloatArray, float]:
     """The view that holds all points [P, 2], moved and widened from the one given no more than
     that takes.
@@ -127,17 +126,30 @@ def holding(
         width_m: of it.
         aspect: its width over its height.
         points_xy_m: to be seen, with `RIM_M` around them.
-        covered: share of its height at the upper border that something lies over.
     """
     if not len(points_xy_m):
         return centre_xy_m, width_m
     low, high = points_xy_m.min(axis=0) - RIM_M, points_xy_m.max(axis=0) + RIM_M
     wide, tall = high - low
-    width_m = max(width_m, float(wide), float(aspect * tall / (1.0 - covered)))
+    width_m = max(width_m, float(wide), float(aspect * tall))
     half = 0.5 * np.array([width_m, width_m / aspect])
-    least = high - half + [0.0, covered * 2.0 * half[1]]
-    most = low + half
+    least, most = high - half, low + half
     return np.minimum(np.maximum(centre_xy_m, least), most), width_m
+
+
+def framed(
+    moments: Sequence[Moment],
+    aspect: float,
+    widths_m: tuple[float, float] = (NARROW_M, WIDE_M),
+    padding_m: float = PADDING_M,
+    widest_m: float = WIDEST_M,
+) -> tuple[FloatArray, float]:
+    """As `camera`, moved and widened to hold what each moment is told of, if that is no wider than
+    `widest_m`."""
+    view = camera(moments, aspect, widths_m, padding_m)
+    told = np.concatenate([told_of(moment) for moment in moments])
+    held = holding(*view, aspect, told)
+    return held if held[1] <= widest_m else view
 
 
 def _core(moment: Moment) -> list[FloatArray]:

@@ -14,7 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
-from hatn_sim.datatypes import BoolArray, FloatArray, Gate, Kind, Lane
+from hatn_sim.datatypes import BoolArray, FloatArray, Gate, Kind, Lane, Scene
 from hatn_sim.geometry import resample, tangent_rad
 
 MOTOR_KINDS: Final = frozenset({Kind.CAR, Kind.LORRY, Kind.BUS})
@@ -90,6 +90,19 @@ def road_shapes(lanes: Iterable[Lane], box: Box) -> RoadShapes:
         dashed_xy_m=dashed,
         stop_lines=tuple(stop_line(lane) for lane in road if lane.gate is not Gate.NONE),
     )
+
+
+def lamps_in(shapes: RoadShapes, box: Box, scene: Scene) -> list[tuple[StopLine, bool]]:
+    """The stop lines of signals that show in the box, and whether they are closed."""
+    closed = scene.signal_closed
+    return [
+        (line, bool(closed[list(line.signals)].all()))
+        for line in shapes.stop_lines
+        if line.gate is Gate.SIGNAL
+        and line.signals
+        and max(line.signals) < len(closed)
+        and box.near(line.corners_xy_m, 0.0).any()
+    ]
 
 
 def _surface(lanes: Sequence[Lane], box: Box, radius_m: float) -> Surface | None:

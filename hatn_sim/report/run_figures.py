@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -78,12 +78,21 @@ def _errors(run: Run, _: Wish, paths: Sequence[Path]) -> None:
     from hatn_sim.report.steps_figure import draw_steps
     from hatn_sim.score.steps import errors_by_step
 
-    errors = [one for one in errors_by_step([run]) if one.subset == "moving"]
+    errors = [
+        replace(one, trained=_is_first(run, one.predictor) and one.scene in run.trained_on)
+        for one in errors_by_step([run])
+        if one.subset == "moving"
+    ]
     if not errors:
         raise InputError(
             f"{run.path}: no moving vehicle was predicted and then seen for 3 s; make a longer run"
         )
     draw_steps(errors, paths, note="" if run.finished else UNFINISHED)
+
+
+def _is_first(run: Run, reported: str) -> bool:
+    """Whether it is the predictor that a run knows the training scenes of; +route is no other."""
+    return reported.removesuffix("+route") == run.predictors[0].removesuffix("+route")
 
 
 RUN_FIGURES: Final[Mapping[str, Draw]] = {

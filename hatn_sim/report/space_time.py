@@ -7,8 +7,8 @@ way itself is told, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from hatn_sim.errors import InputError
 from hatn_sim.geometry import resample
 from hatn_sim.labels import FOLLOW_FRAMES, NEXT_FRAMES, crossing_frame
 from hatn_sim.log import PredictionTable, Run
-from hatn_sim.report.moment import main_predictions
+from hatn_sim.report.moment import main_predictions, named_at
 from hatn_sim.report.story import PLACE_M, Choices, read_choices
 
 BEFORE_FRAMES: Final = 40
@@ -52,6 +52,8 @@ class Strand:
     s_m: FloatArray  # [T] of its centre; NaN: out of view
     conflict_s_m: float | None  # where it meets the ego; None: it is the ego
     crosses: bool  # it came to that conflict; else it took another way, or was not seen to
+    ego_crosses: bool  # the ego came there
+    is_named: bool  # the ego's advice or alerts at the moment are about it
     forecasts: tuple[Forecast, ...]  # one a second, the moment's among them
     on_way: (
         BoolArray  # [T] it is on the way that the ego takes, not only as far from their conflict
@@ -94,6 +96,9 @@ def passing_time_s(time_s: FloatArray, s_m: FloatArray, at_m: float) -> float | 
 def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
     """An ego around a moment, and whom it has to choose about there or soon before and after.
 
+    Those that its advice and alerts name go before those of its choice at the moment, the nearest
+    to their conflict first, and these before those met the longest; `MOST_OTHERS` of them at most.
+
     Raises:
         InputError: the ego has no slots to choose from around this moment.
     """
@@ -108,9 +113,10 @@ def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
         )
     travelled = run.trajectories.travelled_at
     origin_m = float(travelled(ego, frame))
-    met = list(_met(choices, rows))
+    named = [run.ids.index(name) for name in named_at(run, frame, ego_id)]
+    met = list(_met(choices, rows, frame, named))
     last = frame + HORIZON_FRAMES
-    meetings: list[tuple[int, float, float, bool]] = []
+    meetings: list[tuple[int, float, float, bool, bool]] = []
     for vehicle, row, m in met:
         at, there_xy_m = int(choices.frame[row]), choices.conflict_xy_m[row, m]
         ego_m, other_m = float(choices.ego_m[row, m]), float(choices.other_m[row, m])
@@ -131,13 +137,24 @@ def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
             for who, away_m in ((ego, ego_m), (vehicle, other_m))
         )
         last = max(last, ego_at + REST_FRAMES, other_at + REST_FRAMES)
-        meetings.append((vehicle, conflict_m, zero_m, other_at >= 0))
+        meetings.append((vehicle, conflict_m, zero_m, other_at >= 0, ego_at >= 0))
+    # Who was met at another time and never came there explains nothing.
+    here = rows[choices.frame[rows] == frame]
+    now = choices.node[here][choices.focus[here]]
+    told = [one for one in meetings if one[0] in named or one[0] in now or one[3]]
+    meetings = told or meetings
     first = max(frame - BEFORE_FRAMES, 0)
     frames = np.arange(first, min(last, frame + AFTER_FRAMES, run.frame_count - 1) + 1)
     others = sorted(
         (
-            _strand(run, table, frames, frame, ego, vehicle, zero_m, conflict_m, crosses)
-            for vehicle, conflict_m, zero_m, crosses in meetings
+            replace(
+                _strand(run, table, frames, frame, ego, vehicle, zero_m),
+                conflict_s_m=conflict_m,
+                crosses=crosses,
+                ego_crosses=ego_crosses,
+                is_named=vehicle in named,
+            )
+            for vehicle, conflict_m, zero_m, crosses, ego_crosses in meetings
         ),
         key=lambda one: one.conflict_s_m or 0.0,
     )
@@ -145,7 +162,7 @@ def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
         run=run,
         frame=frame,
         frames=frames,
-        ego=_strand(run, table, frames, frame, ego, ego, -origin_m, None, True),
+        ego=_strand(run, table, frames, frame, ego, ego, -origin_m),
         others=tuple(others),
         chance=_chances(choices, ego, frames, [run.ids.index(one.vehicle_id) for one in others]),
     )
@@ -165,7 +182,8 @@ def free_spans(story: SpaceTime) -> list[tuple[tuple[float, float], float]]:
         if at_m - place_m > PLACE_M:
             place, place_m = place + 1, at_m
         spans = [who.occupied_s(story.time_s, at_m) for who in (other, story.ego)]
-        if not other.crosses or spans[0] is None or spans[1] is None:
+        both_cross = other.crosses and other.ego_crosses
+        if not both_cross or spans[0] is None or spans[1] is None:
             continue
         is_before = spans[0] < spans[1]
         first, second = sorted((spans[0], spans[1]))
@@ -177,14 +195,21 @@ def free_spans(story: SpaceTime) -> list[tuple[tuple[float, float], float]]:
     return list(best.values())
 
 
-def _met(choices: Choices, rows: IntArray) -> Iterator[tuple[int, int, int]]:
-    """(vehicle, row, node) of those met the longest, at the last row with both before it."""
-    row, m = np.nonzero(choices.focus[rows][:, 1:])
+def _met(
+    choices: Choices, rows: IntArray, frame: int, named: Sequence[int]
+) -> Iterator[tuple[int, int, int]]:
+    """(vehicle, row, node) of those to be told of, at the last row with both before it."""
+    shown = choices.focus[rows] | np.isin(choices.node[rows], named)
+    row, m = np.nonzero(shown[:, 1:])
     row, m = rows[row], m + 1
     vehicle = choices.node[row, m]
     ahead = (choices.ego_m[row, m] >= 0.0) & (choices.other_m[row, m] >= 0.0)
+    now = np.flatnonzero(choices.frame[row] == frame)
+    nearest = now[np.argsort(np.abs(choices.other_m[row, m][now]), kind="stable")]
     found, count = np.unique(vehicle, return_counts=True)
-    for one in found[np.argsort(-count, kind="stable")][:MOST_OTHERS].tolist():
+    longest = found[np.argsort(-count, kind="stable")]
+    order = dict.fromkeys([*named, *vehicle[nearest].tolist(), *longest.tolist()])
+    for one in [who for who in order if who in found][:MOST_OTHERS]:
         mine = np.flatnonzero(vehicle == one)
         best = mine[np.lexsort((choices.frame[row[mine]], ahead[mine]))[-1]]
         yield one, int(row[best]), int(m[best])
@@ -198,10 +223,9 @@ def _strand(
     ego: int,
     vehicle: int,
     zero_m: float,
-    conflict_m: float | None,
-    crosses: bool,
 ) -> Strand:
-    """`zero_m` of the way of `ego` lies where this vehicle had travelled nothing."""
+    """`zero_m` of the way of `ego` lies where this vehicle had travelled nothing; whom it meets is
+    not told."""
     tracks, trajectories = run.tracks, run.trajectories
     _, seen = trajectories.xy_at(vehicle, frames)
     s_m = np.where(seen, zero_m + trajectories.travelled_at(vehicle, frames), np.nan)
@@ -226,8 +250,10 @@ def _strand(
         vehicle_id=run.ids[vehicle],
         length_m=float(tracks.size_m[row, 0]),
         s_m=s_m,
-        conflict_s_m=conflict_m,
-        crosses=crosses,
+        conflict_s_m=None,
+        crosses=True,
+        ego_crosses=True,
+        is_named=False,
         forecasts=tuple(told),
         on_way=_on_way(run, ego, vehicle, frames),
     )

@@ -41,6 +41,9 @@ ROOM_M: Final = (4.0, 14.0)
 WAY_POINT_FRAMES: Final = 5
 ZONE_PT: Final = 5.0
 FAINT: Final = 0.45
+NOW: Final[dict[str, Any]] = {"color": SOFT_INK, "lw": 0.7, "ls": (0, (1, 1.5))}
+CONFLICT: Final[dict[str, Any]] = {"lw": 0.8, "alpha": 0.6}
+SLOTS: Final = "Slots of the ego: black, to yield; each colour, to pass before who has it above"
 ELSEWHERE: Final[dict[str, Any]] = {"lw": 0.7, "alpha": 0.7}
 """Whoever is not on the ego's way, as far from the conflict as it is on its own."""
 
@@ -52,7 +55,7 @@ def draw_space_time(story: SpaceTime, where: str, paths: Sequence[Path]) -> None
     time_s, now_s = story.time_s, float(story.run.times_s[story.frame])
     looks = _looks(story)
     for axes in (ways, slots):
-        axes.axvline(now_s, color=SOFT_INK, lw=0.7, ls=(0, (1, 1.5)))
+        axes.axvline(now_s, **NOW)
     for strand, look in zip((*story.others, story.ego), (*looks[1:], looks[0]), strict=True):
         _strand(ways, story, strand, look)
     _zones(ways, story, looks)
@@ -64,6 +67,7 @@ def draw_space_time(story: SpaceTime, where: str, paths: Sequence[Path]) -> None
         dress(axes, TICK_PT)
         rule(axes)
         axes.set_ylabel(name, fontsize=LABEL_PT, color=INK)
+    slots.set_title(SLOTS, loc="left", fontsize=LABEL_PT, color=INK)
     slots.set_ylim(-0.04, 1.04)
     slots.set_yticks([0.0, 0.5, 1.0])
     slots.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0, symbol=" %"))
@@ -135,9 +139,12 @@ def _zones(axes: Axes, story: SpaceTime, looks: Sequence[dict[str, Any]]) -> Non
     for strand, look in zip(story.others, looks[1:], strict=True):
         at_m = strand.conflict_s_m
         assert at_m is not None
-        axes.axhline(at_m, color=look["color"], lw=0.5, alpha=0.5)
-        for who, colour in ((strand, look["color"]), (story.ego, BLACK)):
-            if who.crosses and (span_s := who.occupied_s(time_s, at_m)) is not None:
+        axes.axhline(at_m, color=look["color"], **CONFLICT)
+        for who, colour, comes in (
+            (strand, look["color"], strand.crosses),
+            (story.ego, BLACK, strand.ego_crosses),
+        ):
+            if comes and (span_s := who.occupied_s(time_s, at_m)) is not None:
                 axes.plot(span_s, (at_m, at_m), color=colour, **bar)
     for span_s, at_m in free_spans(story):
         _gap(axes, span_s, at_m)
@@ -175,15 +182,14 @@ def _legend(
     for strand, look in zip((story.ego, *story.others), looks, strict=True):
         kind = Kind(int(run.kinds[run.ids.index(strand.vehicle_id)])).name.lower()
         words = f"{kind} {strand.vehicle_id}"
-        if strand is story.ego:
-            words = f"ego: {words}"
-        elif not strand.crosses:
-            words += ", which did not come to the conflict"
+        words = f"ego: {words}" if strand is story.ego else f"{words}{_how_met(strand)}"
         handles.append(Line2D([], [], label=plain(words), **look))
     said = f"predicted by {run.predictors[0]} at {now_s:.1f} s"
     dots: dict[str, Any] = {"marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.8}
     thin: dict[str, Any] = {"color": INK, "lw": 0.6, "ls": ":", "alpha": FAINT}
     handles += [
+        Line2D([], [], label=f"upright: the moment, {now_s:.1f} s", **NOW),
+        Line2D([], [], color=INK, label="level: conflict with who has its colour", **CONFLICT),
         Line2D([], [], color=INK, lw=0.8, ls=":", label=plain(said), **dots),
         Line2D([], [], label="likeliest prediction, once a second", **thin),
         Patch(color=INK, alpha=0.16, lw=0.0, label="on the ego's way, bumper to bumper"),
@@ -194,3 +200,10 @@ def _legend(
         arrow: dict[str, Any] = {"color": INK, "marker": r"$\leftrightarrow$", "ms": 9.0, "ls": ""}
         handles.append(Line2D([], [], label="the conflict is free", **arrow))
     return handles
+
+
+def _how_met(other: Strand) -> str:
+    words = ", of whom the ego is told" if other.is_named else ""
+    if not other.crosses:
+        return f"{words}; did not come to the conflict"
+    return words if other.ego_crosses else f"{words}; came to the conflict, the ego did not"

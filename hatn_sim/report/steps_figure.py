@@ -30,17 +30,21 @@ BAND: Final = "95 % interval of the mean"
 COLUMNS: Final = (
     "scene", "predictor", "subset", "step", "time_s", "mean_m", "std_m", "low_m", "high_m", "n",
 )  # fmt: skip
+TRAINED: Final = "trained_on_scene"
+"""A column more: yes or no; tables made before it was there do not tell."""
+TRAINED_WORDS: Final = "* its weights were trained on runs of this scene"
 
 
 def write_steps(path: Path, errors: Sequence[StepErrors]) -> None:
     """One row for each scene, predictor, subset and step; no interval is an empty field."""
-    rows: list[Sequence[object]] = [COLUMNS]
+    rows: list[Sequence[object]] = [(*COLUMNS, TRAINED)]
     for one in errors:
         for step in range(HORIZON_FRAMES):
             values = (one.mean_m, one.std_m, one.low_m, one.high_m)
             told = ("" if np.isnan(v[step]) else f"{v[step]:.6f}" for v in values)
             at = (step + 1, f"{TIMES_S[step]:.1f}")
-            rows.append((one.scene, one.predictor, one.subset, *at, *told, one.n))
+            who = (one.scene, one.predictor, one.subset)
+            rows.append((*who, *at, *told, one.n, "yes" if one.trained else "no"))
     save_csv(path, rows)
 
 
@@ -59,6 +63,7 @@ def read_steps(path: Path) -> list[StepErrors]:
             *key,
             *(numbers(rows, name, path) for name in ("mean_m", "std_m", "low_m", "high_m")),
             n=int(numbers(rows[:1], "n", path)[0]),
+            trained=rows[0].get(TRAINED) == "yes",
         )
         for key, rows in found.items()
     ]
@@ -69,8 +74,8 @@ def draw_steps(
 ) -> None:
     """Draw a row for each scene: linear axes as in the paper, and logarithmic ones.
 
-    Bands are 95 % intervals. The format of a file is what its suffix names; a `note` stands behind
-    the title.
+    Bands are 95 % intervals; a star marks who was trained on the scene. The format of a file is
+    what its suffix names; a `note` stands behind the title.
     """
     shown = [one for one in errors if one.subset == subset]
     scenes = list(dict.fromkeys(one.scene for one in shown)) or [""]
@@ -94,6 +99,8 @@ def draw_steps(
             handles, _ = row[0].get_legend_handles_labels()
             if any(np.isfinite(one.low_m).all() for one in of_scene):
                 handles.append(Patch(color=SOFT_INK, alpha=0.3, lw=0.0, label=BAND))
+            if any(one.trained for one in of_scene):
+                handles.append(Patch(alpha=0.0, lw=0.0, label=TRAINED_WORDS))
             row[0].legend(
                 handles=handles, frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left"
             )
@@ -105,7 +112,7 @@ def draw_steps(
 
 
 def _curve(axes: Axes, one: StepErrors, colour: str) -> None:
-    name = one.predictor.replace("_", " ")
+    name = one.predictor.replace("_", " ") + "*" * one.trained
     axes.plot(TIMES_S, one.mean_m, color=colour, linewidth=1.6, label=name)
     if np.isfinite(one.low_m).all():
         axes.fill_between(TIMES_S, one.low_m, one.high_m, color=colour, alpha=0.15, linewidth=0)

@@ -9,8 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from hatn_sim.datatypes import Alert, Kind, SafetyEvent, Score
+from hatn_sim.datatypes import Alert, FloatArray, Kind, SafetyEvent, Score
 from hatn_sim.log import Run
+from hatn_sim.report.meeting import meeting_place
 from hatn_sim.report.page.tables import score_tables
 from hatn_sim.report.paint import look_of, paint_of
 from hatn_sim.report.table import SCORES_FILE, notes
@@ -98,8 +99,8 @@ def alerts_of(run: Run) -> list[dict[str, Any]]:
     return sorted(out, key=lambda alert: alert["from_s"])
 
 
-def events_of(run: Run) -> list[dict[str, Any]]:
-    """What really went wrong: T1, T2 and T3, by start."""
+def events_of(run: Run, origin_m: FloatArray) -> list[dict[str, Any]]:
+    """What really went wrong: T1, T2 and T3, by start, and where the two met, from `origin_m`."""
     driven = driven_in(run)
     number = {name: index for index, name in enumerate(run.ids)}
     found: list[SafetyEvent] = [*severe_events(driven), *shown_passes(driven)]
@@ -111,10 +112,22 @@ def events_of(run: Run) -> list[dict[str, Any]]:
             "second": -1 if event.second_id is None else number.get(event.second_id, -1),
             "cause": event.cause,
             "apart_s": _rounded(event.encroachment_s),
+            "met_m": _met(run, event, number, origin_m),
         }
         for event in sorted(found, key=lambda one: one.start_s)
         if event.tier in ("T1", "T2", "T3")
     ]
+
+
+def _met(
+    run: Run, event: SafetyEvent, number: Mapping[str, int], origin_m: FloatArray
+) -> list[float] | None:
+    """None: there is one vehicle only, or their ways did not meet."""
+    one, other = number.get(event.first_id), number.get(event.second_id or "")
+    if one is None or other is None:
+        return None
+    place = meeting_place(run, one, other, int(np.abs(run.times_s - event.start_s).argmin()))
+    return None if place is None else np.round(place - origin_m, 1).tolist()
 
 
 def notices_of(run: Run) -> list[str]:

@@ -81,7 +81,7 @@ def page(run: Run, start: tuple[int, str] | None = None) -> str:
         "lines": line_shapes(driven, origin_m),
         "advice": advice_of(run),
         "alerts": alerts_of(run),
-        "events": events_of(run),
+        "events": events_of(run, origin_m),
         "scores": scores_of(run),
         "settings": settings_of(run),
         "origin_m": origin_m.tolist(),

@@ -161,6 +161,21 @@ function drawConflicts(ctx, view, look) {
   }
 }
 
+// Where the two of an event met: a cross, as large on the screen at all scales.
+function drawMeeting(ctx, camera, [x, y]) {
+  const arm = 6 / camera.scale;
+  for (const [width, colour] of [[6, '#ffffff'], [3, ALARM]]) {
+    ctx.beginPath();
+    ctx.moveTo(x - arm, y - arm); ctx.lineTo(x + arm, y + arm);
+    ctx.moveTo(x + arm, y - arm); ctx.lineTo(x - arm, y + arm);
+    ctx.lineCap = 'round';
+    ctx.lineWidth = width / camera.scale;
+    ctx.strokeStyle = colour;
+    ctx.stroke();
+  }
+  ctx.lineCap = 'butt';
+}
+
 // Rings around those that an alert names: they flash twice a second of the wall clock while the run is
 // played, however fast, and are steady for whoever wants no motion.
 function drawAlarms(ctx, app, view) {

@@ -31,8 +31,9 @@ function readOnlyHook(app) {
         playing: app.playing, speed: app.speed, following: app.following, drawn: app.drawn || 0,
         said: document.getElementById('said').textContent || null, alerts: (view?.alerts ?? []).map((alert) => ({ ...alert })),
         named: (view?.named ?? []).map((vehicle) => head.vehicles[vehicle].id),
+        met_xy_m: view?.event?.met ? onMap(view.event.met) : null,
         conflicts_xy_m: view ? conflictsOf(view).map(onMap) : [],
-        labels: app.labels.map(({ words, box, vehicle }) => ({ words, box, id: head.vehicles[vehicle].id })),
+        labels: app.labels.map(({ words, box, vehicle }) => ({ words, box, id: head.vehicles[vehicle]?.id ?? null })),
         moments: app.moments.map((moment) => ({ ...moment })), scale: app.camera.scale,
       };
     },

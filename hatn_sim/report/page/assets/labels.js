@@ -24,6 +24,7 @@ function obstaclesOf(app, view) {
     const [a, b, c, d] = cornersOf(app, state);
     along([a, b, d, c, a, d], 3);
   }
+  if (view.event?.met) dots.push([...camera.toScreen(...view.event.met), 30]);
   for (const slot of view.slots) {
     const rear = slot.chance !== null && view.logged.get(slot.vehicle);
     const strip = rear && slotStrip(app, rear, slot.length);
@@ -75,7 +76,17 @@ function labelsOf(app, view) {
     const words = `${isNamed(vehicle) ? `${app.head.vehicles[vehicle].look}: ` : ''}pass before ${percent(chance)}`;
     found.push({ state: view.states.get(vehicle), words, back: chanceColour(chance), fore: chance > 0.55 ? '#10151a' : '#ffffff' });
   }
+  const { event } = view;
+  if (event && event.other >= 0) {
+    const words = `${app.head.vehicles[event.other].look}: ${TIERS[event.kind]}`;
+    found.push({ state: view.states.get(event.other), words, back: '#ffffff', fore: '#22262b', key: 'event' });
+  }
+  if (event?.met) {
+    const [x, y] = event.met;
+    found.push({ state: { x, y, vehicle: -1 }, words: 'where they met', back: '#ffffff', fore: '#22262b' });
+  }
   for (const vehicle of view.named) {
+    if (vehicle === event?.other) continue;
     if (slots.some((slot) => slot.vehicle === vehicle)) continue;
     found.push({ state: view.states.get(vehicle), words: app.head.vehicles[vehicle].look, back: '#ffffff', fore: '#22262b' });
   }
@@ -83,7 +94,7 @@ function labelsOf(app, view) {
     const state = view.states.get(alert.ego);
     if (state) found.push({ state, words: '! alert', back: ALARM, fore: '#ffffff' });
   }
-  return found.map((label) => ({ ...label, key: `${label.state.vehicle} ${label.back === ALARM}` }));
+  return found.map((label) => ({ key: `${label.state.vehicle} ${label.back === ALARM}`, ...label }));
 }
 
 function drawLabels(ctx, app, view) {

@@ -60,7 +60,7 @@ function makeMoments(app, jump) {
 function momentRow(app, moment, jump) {
   const names = [moment.ego, moment.other].filter((one) => one >= 0).map((one) => nameOf(app, one));
   const button = element('button', { type: 'button', textContent: `${moment.from.toFixed(1)} s` });
-  button.addEventListener('click', () => jump(moment.from, moment.ego));
+  button.addEventListener('click', () => jump(moment.from, moment.ego, moment));
   const { glyph, words } = KINDS[moment.kind];
   return element('tr', {}, [
     element('td', {}, [button]),

@@ -54,7 +54,9 @@ function makePanel(app) {
   const slotRows = [], alertRows = [];
 
   function showAdvice(view) {
-    const said = view.advice;
+    // What was advised before an alert is set aside by it: two things told at once contradict.
+    const alarmed = view.alerts.some(({ ego, other }) => ego === app.ego || other === app.ego);
+    const said = alarmed ? null : view.advice;
     advice.host.hidden = !said;
     if (!said) return;
     const ago = view.time - app.timeOf(said.frame), told = [];

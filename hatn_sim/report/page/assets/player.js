@@ -10,7 +10,8 @@ function makeApp(head) {
     lines: [], frame: 0, ego: -1, pointed: -1, playing: false, speed: 1, following: false,
     startS: head.start_s, endS: head.start_s + Math.max(head.frames - 1, 0) * head.dt_s,
     still: window.matchMedia('(prefers-reduced-motion: reduce)').matches,
-    look: LOOKS.light, egoAdvice: [], moments: [], covers: [], labels: [], labelPlaces: new Map(),
+    look: LOOKS.light, egoAdvice: [], moments: [], jumped: null, covers: [], free: [], openedAt: 1, lead: null,
+    labels: [], labelPlaces: new Map(),
   };
   app.timeOf = (frame) => head.start_s + frame * head.dt_s;
   app.frameOf = (seconds) => Math.min(Math.max((seconds - head.start_s) / head.dt_s, 0), Math.max(head.frames - 1, 0));
@@ -19,10 +20,10 @@ function makeApp(head) {
   return app;
 }
 
-// An alert about the ego goes before its advice.
+// An alert about the ego goes before its advice, the latest first: as `Moment.headline` has it.
 function showSaid(app, view) {
-  const own = view.alerts.find(({ ego }) => ego === app.ego);
-  const alert = own || view.alerts.find(({ other }) => other === app.ego);
+  const own = view.alerts.findLast(({ ego }) => ego === app.ego);
+  const alert = own || view.alerts.findLast(({ other }) => other === app.ego);
   const told = alert && (own ? alert.text : `${shortened(nameOf(app, alert.ego), 30)} is told: ${alert.text}`);
   const words = told ? told : view.advice ? countedDown(view.advice.text, view.time - app.timeOf(view.advice.frame)) : '';
   const place = byId('said');
@@ -35,7 +36,7 @@ function start() {
   const app = makeApp(head);
   const canvas = byId('map'), ctx = canvas.getContext('2d');
   app.camera = mapCamera(canvas);
-  let dirty = true, panelAt = 0, linkAt = 0, before = 0, coming = 0, opening = false, looked = '';
+  let dirty = true, panelAt = 0, linkAt = 0, before = 0, coming = 0, opening = false, looked = '', shownAt = 0, shownFrame = -1;
   const redraw = () => { dirty = true; };
 
   app.choose = (vehicle) => {
@@ -50,8 +51,9 @@ function start() {
     panelAt = 0;
     redraw();
   };
-  const jump = (seconds, vehicle) => {
+  const jump = (seconds, vehicle, moment = null) => {
     pause();
+    app.jumped = moment;
     seek(Math.round(app.frameOf(seconds)));
     if (vehicle !== null && vehicle >= 0) app.choose(vehicle);
     open();
@@ -79,6 +81,7 @@ function start() {
   const setSpeed = (speed) => { app.speed = speed; byId('speed').value = String(speed); };
   const follow = (on) => {
     app.following = on;
+    app.lead = null;
     byId('follow').setAttribute('aria-pressed', String(on));
     redraw();
   };
@@ -97,7 +100,7 @@ function start() {
     const now = app.timeOf(app.frame);
     const found = direction > 0 ? app.moments.find((moment) => moment.from > now + 0.05)
       : app.moments.findLast((moment) => moment.from < now - 0.05);
-    if (found) jump(found.from, found.ego);
+    if (found) jump(found.from, found.ego, found);
   };
   const nextEgo = (direction) => {
     const view = viewOf(app);
@@ -132,17 +135,26 @@ function start() {
       if (app.store.now(wanted) || document.readyState === 'loading') redraw();
     });
   };
+  const keepFree = () => {
+    app.covers = coversOf(canvas);
+    app.free = freeRectangles(app.camera.width, app.camera.height, app.covers);
+  };
   const show = (now) => {
     const view = head.frames ? viewOf(app) : emptyView(app);
     if (!view) return; // this moment has not arrived yet
     dirty = false;
     if (opening) {
       showSaid(app, view); // what lies over the map
-      app.covers = coversOf(canvas);
-      frameEgo(app, view, app.covers);
+      keepFree();
+      frameEgo(app, view);
       [opening, looked] = [false, look()];
+      app.openedAt = app.camera.scale;
+    } else if (app.playing || app.frame !== shownFrame) {
+      const isUntouched = look() === looked; // nobody has moved or zoomed it since
+      if (app.following || isUntouched) attend(app, view, app.playing ? Math.max(now - shownAt, 0) / 1000 : Infinity, isUntouched);
+      if (isUntouched) looked = look();
     }
-    if (app.following && view.ego) app.camera.lookAt(view.ego.x, view.ego.y);
+    [shownAt, shownFrame] = [now, app.frame];
     drawScene(ctx, app, view);
     byId('clock').textContent = `${view.time.toFixed(1)} s`;
     byId('scrub').value = String(view.time);
@@ -152,7 +164,7 @@ function start() {
       panelAt = now;
       showPanel(view);
       showSaid(app, view);
-      app.covers = coversOf(canvas);
+      keepFree();
       markMoment(view);
     } else dirty = true;
     // Browsers slow down pages that change their address often.

@@ -1,5 +1,7 @@
 // What is there at a moment, and the picture of it.
 
+const EVENT_S = 3; // an event that was jumped to is pointed at for so long
+
 // All that is shown at a frame, which may lie between two of the log; null: it is still unpacked.
 function viewOf(app) {
   const { head, store } = app;
@@ -24,7 +26,16 @@ function viewOf(app) {
     frame, time, states, logged, ego, slots, involved, alerts,
     closed: chunk.closed[frame % head.chunk_frames] || [], advice: standingAdvice(app, frame),
   };
-  return { ...view, named: ego ? namedOf(app, view) : [] };
+  return { ...view, named: ego ? namedOf(app, view) : [], event: ego ? eventOf(app, view) : null };
+}
+
+// The event that was jumped to, as long as it is near in time and the ego is one of its two.
+function eventOf(app, view) {
+  const { jumped } = app;
+  if (!jumped || jumped.row !== 'events' || Math.abs(view.time - jumped.from) > EVENT_S) return null;
+  if (jumped.ego !== app.ego && jumped.other !== app.ego) return null;
+  const other = jumped.ego === app.ego ? jumped.other : jumped.ego;
+  return { kind: jumped.kind, other: view.states.has(other) ? other : -1, met: jumped.met };
 }
 
 function between(state, next, part) {
@@ -51,11 +62,13 @@ function drawScene(ctx, app, view) {
     if (!camera.sees(state.x, state.y, 15)) continue;
     const isEgo = state.vehicle === app.ego, chance = view.involved.get(state.vehicle);
     const ring = chance === undefined || chance === null ? null : chanceColour(chance);
-    const faded = app.ego >= 0 && view.ego !== null && !view.involved.has(state.vehicle);
+    const told = view.involved.has(state.vehicle) || state.vehicle === view.event?.other;
+    const faded = app.ego >= 0 && view.ego !== null && !told;
     drawVehicle(ctx, camera, state, app.shapes(state.vehicle), app.head.vehicles[state.vehicle],
       { ring, isEgo, faded, lit, look });
   }
   if (camera.scale >= 1.2) drawConflicts(ctx, view, look);
+  if (view.event?.met) drawMeeting(ctx, camera, view.event.met);
   drawAlarms(ctx, app, view);
   camera.inPixels(ctx);
   drawLabels(ctx, app, view);
@@ -81,7 +94,7 @@ function drawScaleBar(ctx, camera) {
 function emptyView(app) {
   return {
     frame: 0, time: app.startS, states: new Map(), logged: new Map(), ego: null, slots: [],
-    involved: new Map(), alerts: [], closed: [], advice: null, named: [],
+    involved: new Map(), alerts: [], closed: [], advice: null, named: [], event: null,
   };
 }
 

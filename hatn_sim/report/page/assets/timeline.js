@@ -27,7 +27,7 @@ function momentsOf(app) {
     const words = `${alert.type[0]}${alert.type.slice(1).toLowerCase()}: ${alert.text}`;
     moments.push({
       row: 'alerts', from: alert.from_s, to: alert.to_s ?? end, ego: alert.ego, other: alert.other,
-      words, kind: 'alert', more: alert.reason,
+      words, kind: 'alert', more: alert.reason, met: null,
     });
   }
   for (const event of head.events) {
@@ -35,7 +35,7 @@ function momentsOf(app) {
     moments.push({
       row: 'events', from: event.at_s, to: event.at_s, ego: event.first, other: event.second,
       kind: event.tier, words: `${event.tier} ${TIERS[event.tier]}`,
-      more: `${event.cause}${apart}`,
+      more: `${event.cause}${apart}`, met: event.met_m,
     });
   }
   return moments.sort((a, b) => a.from - b.from);
@@ -156,7 +156,7 @@ function timelineOf(app, jump) {
   const secondsAt = (x) => Math.min(Math.max(app.startS + ((x - left) / (width - left - right)) * (app.endS - app.startS), app.startS), app.endS);
   canvas.addEventListener('click', (event) => {
     const moment = nearest(event.offsetX, event.offsetY);
-    if (moment) jump(moment.from, moment.ego);
+    if (moment) jump(moment.from, moment.ego, moment);
     else if (event.offsetX >= left - 4) jump(secondsAt(event.offsetX), null);
   });
   const tell = (x, y) => {
