@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
 from matplotlib.text import Text
 from PIL import Image
 
@@ -38,7 +39,7 @@ from hatn_sim.log import Run, RunWriter, read_run
 from hatn_sim.log.road_file import ROAD_FILE, read_road, write_road
 from hatn_sim.perception import begin, perceive
 from hatn_sim.report.animation import around, draw_animation
-from hatn_sim.report.canvas import FILM, POSTER, SCREEN, Style, open_sheet
+from hatn_sim.report.canvas import CLOSED, FILM, POSTER, SCREEN, Style, open_sheet
 from hatn_sim.report.drawing import draw_moment_on
 from hatn_sim.report.label_places import Label, place_labels
 from hatn_sim.report.moment import alerts_at, moment_at
@@ -290,6 +291,8 @@ def test_signs_in_the_legend_lie_beside_each_other(crossing: Run, style: Style) 
     middle = 0.5 * style.footer_in
     legend = [t for t in sheet.page.texts if t.get_position()[1] == middle]
     assert {"slot, 0", "signal closed", "open", "alert", "5 m"} <= {t.get_text() for t in legend}
+    (bar,) = [one for one in sheet.map.collections if one.get_zorder() == 3.2]
+    assert np.allclose(bar.get_facecolor(), [to_rgba(CLOSED)])  # filled where it is closed
     ends = sorted((t.get_window_extent().x0, t.get_window_extent().x1) for t in legend)
     assert all(one[1] + 4.0 < other[0] for one, other in pairwise(ends))
     # The scale, 5 m long, ends at the margin; its words stand before it.

@@ -288,14 +288,24 @@ def _words(sheet: Sheet, x_in: float, words: str, gap_em: float = 1.2) -> float:
     return x_in + HINTED * width_pt(words, size_pt) / 72.0 + gap_em * em
 
 
+def signal_look(is_closed: bool) -> dict[str, Any]:
+    """How a signal's stop line is drawn: filled or hollow, for who sees no difference of colours.
+
+    For patches and collections of matplotlib.
+    """
+    colour = CLOSED if is_closed else OPEN
+    return {"facecolor": colour if is_closed else "none", "edgecolor": colour, "linewidth": 1.0}
+
+
 def draw_keys(sheet: Sheet, has_signals: bool, has_alerts: bool) -> list[Artist]:
     """The keys of signals and alerts in the legend, for moments that have some."""
     page, before = sheet.page, {*sheet.page.get_children()}
     size, y, em = _letters(sheet.style)
     x = sheet.keys_in
     if has_signals:
-        for colour, words in ((CLOSED, "signal closed"), (OPEN, "open")):
-            page.plot([x, x + 1.2 * em], [y, y], color=colour, lw=0.5 * size, zorder=5)
+        for is_closed, words in ((True, "signal closed"), (False, "open")):
+            bar = (x, y - 0.22 * em), 1.2 * em, 0.44 * em
+            page.add_patch(Rectangle(*bar, **signal_look(is_closed), zorder=5))
             x = _words(sheet, x + 1.7 * em, words, gap_em=0.8)
         x += 0.3 * em
     if has_alerts:

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
-from hatn_sim.report.canvas import CLOSED, INK, OPEN
+from hatn_sim.report.canvas import INK, signal_look
 from hatn_sim.report.case_cast import BLACK, COLOURS
 from hatn_sim.report.case_map import PALE, PALE_EDGE, shade
 from hatn_sim.report.label_width import width_pt
@@ -42,8 +42,9 @@ def draw_legend(
     x = _words(page, x + 0.54, upper, "slot and node: darker is likelier")
     page.plot([x + 0.03], [upper], "o", ms=3.2, mfc="white", mec=PALE_EDGE, mew=0.5)
     x = _words(page, x + 0.06, upper, "of another conflict")
-    for colour, words in ((CLOSED, "signal closed"), (OPEN, "open")) if has_signals else ():
-        page.plot([x, x + 0.12], [upper, upper], color=colour, lw=2.6, solid_capstyle="butt")
+    for is_closed, words in ((True, "signal closed"), (False, "open")) if has_signals else ():
+        bar = (x, upper - 0.02), 0.12, 0.04
+        page.add_patch(Rectangle(*bar, **signal_look(is_closed)))
         x = _words(page, x + 0.12, upper, words) - 0.04
 
     x = span_in[0]

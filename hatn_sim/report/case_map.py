@@ -15,15 +15,14 @@ from matplotlib.path import Path as Outline
 
 from hatn_sim.datatypes import FloatArray, Kind, Lane
 from hatn_sim.report.canvas import (
-    CLOSED,
     INK,
-    OPEN,
     VERGE,
     RoadColours,
     columns,
     draw_road,
     mixed,
     quad,
+    signal_look,
 )
 from hatn_sim.report.case_cast import Part
 from hatn_sim.report.label_places import Label, place_labels
@@ -91,8 +90,7 @@ def draw_map(axes: Axes, view: MapView, moment: Moment, cast: Mapping[str, Part]
 
 def _draw_signals(axes: Axes, view: MapView, moment: Moment) -> None:
     for line, is_closed in lamps_in(view.shapes, view.box, moment.scene):
-        colour = CLOSED if is_closed else OPEN
-        axes.fill(*line.corners_xy_m.T, facecolor=colour, linewidth=0.0, zorder=3.2)
+        axes.fill(*line.corners_xy_m.T, **signal_look(is_closed), zorder=3.2)
 
 
 def _draw_slots(axes: Axes, moment: Moment, cast: Mapping[str, Part]) -> None:

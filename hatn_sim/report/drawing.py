@@ -17,9 +17,7 @@ from hatn_sim.report.canvas import (
     ACTUAL,
     ALERT,
     ASPHALT,
-    CLOSED,
     INK,
-    OPEN,
     PAPER,
     PREDICTED,
     PROBABILITY,
@@ -30,6 +28,7 @@ from hatn_sim.report.canvas import (
     mixed,
     plain,
     quad,
+    signal_look,
 )
 from hatn_sim.report.drawing_labels import draw_labels
 from hatn_sim.report.drawing_vehicles import draw_vehicles
@@ -82,10 +81,11 @@ def draw_moment_on(
 
 def _draw_signals(sheet: Sheet, moment: Moment) -> list[Artist]:
     shown = lamps_in(sheet.shapes, sheet.box, moment.scene)
-    bars = [line.corners_xy_m for line, _ in shown]
-    colours = [CLOSED if is_closed else OPEN for _, is_closed in shown]
-    lamps = PolyCollection(bars, facecolors=colours, linewidths=0.0, zorder=3.2)
-    return [sheet.map.add_collection(lamps)]
+    bars = [
+        PolyCollection([line.corners_xy_m], **signal_look(is_closed), zorder=3.2)
+        for line, is_closed in shown
+    ]
+    return [sheet.map.add_collection(bar) for bar in bars]
 
 
 def _draw_slots(sheet: Sheet, moment: Moment) -> list[Artist]:
