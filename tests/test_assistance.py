@@ -340,6 +340,17 @@ def test_a_sweep_counts_false_alarms_in_courteous_traffic_alone() -> None:
     assert best_within([operating(runs, RULE, 0.5)], 0.1) is None
 
 
+def test_a_curve_has_the_lead_time_of_the_scores() -> None:
+    # Alerts of 2 s and of 1 s before the event: the median of an even number is the lower one.
+    runs = [
+        graded(2, "inattentive", 3.0, 0.0),
+        run_of(3, "inattentive", (event(150.0),), held(149.0, 150.0, "ab", 3.0)),
+    ]
+    scores = alert_scores(warned(runs, RULE, 1.0), RULE, "s", "r")
+    (lead,) = [one.value for one in scores if one.measure == "lead_time_s"]
+    assert operating(runs, RULE, 1.0).lead_time_s == lead == pytest.approx(1.0)
+
+
 def test_without_courteous_runs_false_alarms_are_counted_in_all() -> None:
     runs = [graded(2, "inattentive", 3.0, 5.0), graded(3, "assertive", 2.0, 5.0)]
     assert operating(runs, RULE, 4.0).false_alarms_per_hour == 2.0
