@@ -490,6 +490,22 @@ def test_who_the_ego_is_told_of_goes_before_those_met_for_longer() -> None:
     assert {(v, row) for v, row, _ in space_time_of._met(choices, frames, 6, [8])} >= {(8, 9)}
 
 
+def test_who_is_in_no_slot_is_said_not_to_be_drawn(
+    crossing: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert space_time(crossing, 10, "eastbound").unplaced == ()
+    # Nobody but the two is there: the ego itself, which is in none of the slots to pass before.
+    monkeypatch.setattr(space_time_of, "named_at", lambda *_: ("northbound", "eastbound"))
+    story = space_time(crossing, 10, "eastbound")
+    assert [one.vehicle_id for one in story.others] == ["northbound"]
+    assert story.unplaced == ("eastbound",)
+    drawn: list[Figure] = []
+    monkeypatch.setattr(space_time_figure, "save_figure", lambda figure, _: drawn.append(figure))
+    space_time_figure.draw_space_time(story, "here", [])
+    words = {text.get_text() for text in drawn[0].findobj(Text)}
+    assert any(one.startswith("not drawn: eastbound, of whom the ego is told") for one in words)
+
+
 def test_figures_name_what_is_in_them(crossing: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bands, whiskers, hollow rings, panels; read off the figures that are about to be written."""
     drawn: list[Figure] = []

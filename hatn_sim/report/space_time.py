@@ -76,6 +76,7 @@ class SpaceTime:
     ego: Strand
     others: tuple[Strand, ...]  # as they meet the ego's way, the nearest first
     chance: FloatArray  # [T, 1 + others] of the ego's slots, to yield first; NaN: no such slot
+    unplaced: tuple[str, ...]  # named by its advice or alerts, but in no slot of it around then
 
     @property
     def time_s(self) -> FloatArray:
@@ -165,6 +166,7 @@ def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
         ego=_strand(run, table, frames, frame, ego, ego, -origin_m),
         others=tuple(others),
         chance=_chances(choices, ego, frames, [run.ids.index(one.vehicle_id) for one in others]),
+        unplaced=tuple(run.ids[who] for who in named if who not in {one[0] for one in meetings}),
     )
 
 

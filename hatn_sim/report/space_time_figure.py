@@ -184,6 +184,9 @@ def _legend(
         words = f"{kind} {strand.vehicle_id}"
         words = f"ego: {words}" if strand is story.ego else f"{words}{_how_met(strand)}"
         handles.append(Line2D([], [], label=plain(words), **look))
+    for name in story.unplaced:
+        words = f"not drawn: {name}, of whom the ego is told; it is in none of its slots"
+        handles.append(Line2D([], [], label=plain(words), ls="none"))
     said = f"predicted by {run.predictors[0]} at {now_s:.1f} s"
     dots: dict[str, Any] = {"marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.8}
     thin: dict[str, Any] = {"color": INK, "lw": 0.6, "ls": ":", "alpha": FAINT}
