@@ -519,8 +519,8 @@ class Agent(Protocol):
 
     An agent may have `reads_suggestions`: where that is False, it reads predictions at most, and
     where nobody else asks for suggestions and alerts, these are not worked out. Where
-    `reads_predictions` is False it decides by the scene alone and drives the same, whoever
-    predicts.
+    `reads_predictions` is False, too, it decides by the scene alone and drives the same, whoever
+    predicts. Who has neither is taken to read both.
     """
 
     def init(self, road: Road) -> Any: ...

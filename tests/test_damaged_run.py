@@ -55,7 +55,7 @@ HURT: dict[str, Callable[[Path], None]] = {"lost": Path.unlink, "half": half, "e
 COMMANDS = {
     "report": ("report", "--no-animation"),
     "figures": ("figures", "--only", "moment", "--formats", "svg"),
-    "animate": ("animate", "--from", "102.5", "--to", "102.55", "--quiet"),
+    "animate": ("animate", "--from", "102.5", "--to", "102.7", "--quiet"),
     "fcd": ("export", "--format", "fcd"),
     "interaction": ("export", "--format", "interaction"),
     "score": ("score",),
@@ -273,10 +273,53 @@ def test_of_predictions_in_parts_the_others_are_used(
         assert np.array_equal(left, every[every // PART_FRAMES != part])
         assert main(["score", "--json", str(hurt_run)]) == 0
         said = capsys.readouterr()
-        assert said.err == f"hatn-sim: {hurt_run}: {expected}\n"
+        # Alerts are told by the crossings that were seen: of the whole run, or not at all.
+        not_scored = f"{name} is missing: alerts and suggestions are not scored"
+        lines = [f"{hurt_run}: {expected}", f"{hurt_run}: {not_scored}"]
+        assert said.err.splitlines() == [f"hatn-sim: {line}" for line in lines]
         scores = json.loads(said.out)
-        assert {tuple(one["left_out"]) for one in scores} == {(f"{hurt_run}: {expected}",)}
+        assert all(one["left_out"] == lines for one in scores)
         assert {one["n"] for one in scores if one["measure"] == "ade_3s"} != {0}
+        assert not {one["measure"] for one in scores} & {"event_recall", "suggestion_agreement"}
+
+
+def test_what_a_scene_lacks_is_said_of_its_scores_alone(
+    sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = hurt(sound, tmp_path, "alerts.jsonl", "lost")
+    head = json.loads((other / "run.json").read_text()) | {"scene": "elsewhere"}
+    (other / "run.json").write_text(json.dumps(head))
+    assert main(["score", "--json", str(sound), str(other)]) == 0
+    scores = json.loads(capsys.readouterr().out)
+    lacking = {one["scene"] for one in scores if "left_out" in one}
+    assert lacking == {"elsewhere"} < {one["scene"] for one in scores}
+
+
+@pytest.mark.parametrize("lines", ["inferred", "route"])
+def test_lost_routes_are_told_where_scores_need_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], lines: str
+) -> None:
+    run = made_up_run(tmp_path / "run")
+    head = json.loads((run / "run.json").read_text())
+    head["settings"]["lines"] = lines
+    (run / "run.json").write_text(json.dumps(head))
+    (run / "truth" / "routes.jsonl").unlink()
+    assert main(["score", str(run)]) == 0
+    told = capsys.readouterr().err
+    assert ("routes that lines followed, and with them slots, are left out" in told) == (
+        lines == "route"
+    )
+
+
+def test_lost_counterfactuals_are_none_that_nobody_asked_for(tmp_path: Path) -> None:
+    run = made_up_run(tmp_path / "run")
+    assert read_run(run).counterfactuals is None
+    head = json.loads((run / "run.json").read_text())
+    head["line_counts"]["counterfactuals.jsonl"] = 4
+    (run / "run.json").write_text(json.dumps(head))
+    assert read_run(run, whole=False).counterfactuals is None
+    with pytest.raises(InputError, match=r"counterfactuals\.jsonl"):
+        _ = read_run(run).counterfactuals
 
 
 def test_half_a_line_that_a_kill_left_is_told_by_score_too(

@@ -2,8 +2,8 @@
 
 Several runs of a scene are pooled; from five runs on, or five recordings or cases in them, the
 intervals are over these instead of over vehicles. Alerts and suggestions are scored as well, by
-what really happened in the runs, with intervals over runs. With --json, scores of runs that lack
-something have a key `left_out` with the lines that say what.
+what really happened in the runs, with intervals over runs. With --json, the scores of a scene whose
+runs lack something have a key `left_out` with the lines that say what.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -39,12 +40,16 @@ def main(arguments: argparse.Namespace) -> int:
     from hatn_sim.report.assistance_table import assistance_table
     from hatn_sim.report.table import score_table, scores_json
     from hatn_sim.score.logged import assistance_scores
+    from hatn_sim.score.pooling import by_scene
     from hatn_sim.score.prediction import score_runs
     from hatn_sim.score.samples import clustered_over
 
     runs = [read_run(path, whole=False) for path in arguments.runs]
-    left_out = [line for run in runs for line in _left_out(run)]
-    for line in left_out:
+    left_out = {
+        scene: [line for run in of_scene for line in _left_out(run)]
+        for scene, of_scene in by_scene(runs).items()
+    }
+    for line in chain.from_iterable(left_out.values()):
         print(f"hatn-sim: {line}", file=sys.stderr)
     scores = score_runs(runs)
     assistance = assistance_scores([run for run in runs if not _lost_advice(run)])
@@ -58,13 +63,13 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _left_out(run: Run) -> list[str]:
-    """A line for each thing that a run lacks."""
+    """A line for each thing that a run lacks of what is scored."""
     from hatn_sim.commands.reading import said_of
     from hatn_sim.log import Part
 
     lost = [f"{gap.file} {gap.found}: {NOT_SCORED}" for gap in _lost_advice(run)]
     cut = [str(gap) for gap in _gaps_of_advice(run) if gap.by_kill]
-    said = said_of(run, {Part.PREDICTIONS, Part.TRUE_ROUTES})
+    said = said_of(run, {Part.PREDICTIONS, Part.ROUTES})
     return said + [f"{run.path}: {line}" for line in (*lost, *cut)]
 
 
@@ -75,13 +80,25 @@ def _lost_advice(run: Run) -> list[Gap]:
 
 def _gaps_of_advice(run: Run) -> list[Gap]:
     from hatn_sim.log import Part
+    from hatn_sim.log.schema import predictor_folder
 
-    return [gap for gap in run.gaps if gap.part in (Part.ADVICE, Part.ALERTS, Part.EVENTS)]
+    # Advice is of the first predictor, and counted by the crossings that it saw.
+    main_folder = f"{predictor_folder(run.predictors[0])}/"
+    judged = Part.ADVICE, Part.ALERTS, Part.EVENTS
+    return [
+        gap
+        for gap in run.gaps
+        if gap.part in judged
+        or (gap.file.startswith(main_folder) and bool(run.suggestions or run.alerts))
+    ]
 
 
-def _saying(left_out: Sequence[str], scores: str) -> str:
-    """JSON of scores, in which each says what was left out, if anything was."""
-    if not left_out:
+def _saying(left_out: Mapping[str, Sequence[str]], scores: str) -> str:
+    """JSON of scores, in which those of a scene say what was left out of its runs, if anything."""
+    if not any(left_out.values()):
         return scores
-    rows = [{**row, "left_out": left_out} for row in json.loads(scores)]
+    rows = [
+        row | ({"left_out": lines} if (lines := left_out.get(row["scene"])) else {})
+        for row in json.loads(scores)
+    ]
     return json.dumps(rows, indent=2, allow_nan=False)

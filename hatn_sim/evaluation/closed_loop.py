@@ -147,7 +147,7 @@ def drives_alike(agent: str) -> bool:
     """Whether an agent decides by the scene alone, and so drives the same with each predictor."""
     loaded = load_agent(agent)
     reads_predictions = getattr(loaded, "reads_predictions", True)
-    return not reads_predictions and not getattr(loaded, "reads_suggestions", False)
+    return not reads_predictions and not getattr(loaded, "reads_suggestions", True)
 
 
 def _same_drives(plan: SeedPlan, missing: Sequence[str]) -> tuple[DrivenEgo, ...] | None:

@@ -20,6 +20,7 @@ from hatn_sim.labels import SAMPLE_EVERY_FRAMES
 from hatn_sim.line_choice import LineChoice
 from hatn_sim.log import RunWriter, read_run
 from hatn_sim.log.choice_file import write_run_choice
+from hatn_sim.log.head_file import read_head
 from hatn_sim.log.road_file import ROAD_FILE, write_road
 from hatn_sim.log.schema import RUN_FILE
 from hatn_sim.loop import Adviser, LineSource, run, warm_up
@@ -99,9 +100,9 @@ def is_there(plan: RunPlan, unknown: Sequence[str] = ()) -> bool:
         raise InputError(f"{plan.out}: expected a run of this evaluation; choose another --out")
     if not (plan.out / RUN_FILE).is_file():
         return False
-    there = read_run(plan.out)
-    if not there.finished:
+    if not read_head(plan.out)["finished"]:  # whatever else is lost of it: it is made again
         return False
+    there = read_run(plan.out)
     found, wanted = _comparable(there.header), _comparable(plan.header)
     differing = {
         key: (found.get(key), value)

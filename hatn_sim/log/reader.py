@@ -295,7 +295,10 @@ class Run:
     def counterfactuals(self) -> list[Mapping[str, Any]] | None:
         """What branches of the run said of its advice; None where none were asked for."""
         name = schema.COUNTERFACTUALS_FILE
-        return self._lines(name) if (self.path / name).exists() else None
+        is_noted = noted_lines(self.header, name) is not None
+        if self._is_gone(name) or not (is_noted or (self.path / name).exists()):
+            return None
+        return self._lines(name)
 
     def _lines(self, name: str) -> list[Any]:
         if self._is_gone(name):

@@ -38,6 +38,8 @@ class Memory:
 class PolicyAgent:
     """Decides every `HOLDS_FRAMES` frames."""
 
+    reads_suggestions = False
+
     def __init__(self, weights: Path | str) -> None:
         """Raises InputError where the weights cannot be read."""
         self.network: Network = load_network(Path(weights))
