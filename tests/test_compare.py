@@ -145,9 +145,13 @@ def test_an_agent_that_decides_by_the_scene_alone_drives_once(
     assert rows(plan("idm", *names))[2].egos == first.egos and not drives
     rows(plan("ppo", *names))
     assert drives == [names[0]]
-    # One that reads them drives with each.
+    # One that reads them drives with each, and so does one that only hears suggestions.
     rows(plan("mpc", *names))
     assert drives == [names[0], *names]
+    (tmp_path / "heeding.py").write_text(STEADY.replace("suggestions", "predictions"))
+    monkeypatch.chdir(tmp_path)
+    rows(plan("heeding:Agent", *names))
+    assert drives == [names[0], *names, *names]
 
 
 def test_runs_are_the_reference_until_the_agent_acts(

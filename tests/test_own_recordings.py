@@ -28,6 +28,7 @@ from hatn_sim.hatn.predictor import Hatn
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import choice_tensors, load_weights, save_weights
+from hatn_sim.learn import train as training
 from hatn_sim.learn.cache import SampleCache, key_of
 from hatn_sim.learn.fit import FitSettings
 from hatn_sim.learn.line_choice import choice_figures
@@ -37,7 +38,7 @@ from hatn_sim.learn.settings import FORMS, TrainingSettings
 from hatn_sim.learn.site_lines import SiteChoice, fit_to_sites
 from hatn_sim.learn.sources import played
 from hatn_sim.learn.split import Split, make_split, traffic_of_scenes, traffic_of_tracks
-from hatn_sim.learn.train import TrainingPlan, described, train
+from hatn_sim.learn.train import TrainingPlan, described, progress_folder, train
 from hatn_sim.learn.watch import Nobody
 from hatn_sim.line_choice import HAND_MADE_CHOICE, LineChoice, shipped_line_choice
 from hatn_sim.log import Run, read_run
@@ -313,7 +314,18 @@ class Stopping(Nobody):
             raise KeyboardInterrupt
 
 
-@pytest.mark.slow  # `test_learn` resumes trainings; of a choice, what is lost is told here
+def test_the_choice_that_a_training_began_with_is_read_back(tmp_path: Path, split: Split) -> None:
+    plan, site = TrainingPlan(split, {}, workers=1), SiteChoice(moved(0.1), {"recordings": 2})
+    for out, begun in ((tmp_path / "with", site), (tmp_path / "without", None)):
+        progress_folder(out).mkdir(parents=True)
+        training._begin(plan, out, begun)
+        kept = training._kept_choice(out)
+        assert (kept is None) == (begun is None)
+        if kept is not None:
+            assert kept.card == site.card and kept.choice.sha256 == site.choice.sha256
+
+
+@pytest.mark.slow  # `test_learn` resumes trainings, the test above reads the choice of one
 def test_a_training_on_recordings_keeps_its_choice(
     tmp_path: Path, split: Split, fitted: SiteChoice | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
