@@ -318,8 +318,8 @@ def test_the_choice_that_a_training_began_with_is_read_back(tmp_path: Path, spli
     plan, site = TrainingPlan(split, {}, workers=1), SiteChoice(moved(0.1), {"recordings": 2})
     for out, begun in ((tmp_path / "with", site), (tmp_path / "without", None)):
         progress_folder(out).mkdir(parents=True)
-        training._begin(plan, out, begun)
-        kept = training._kept_choice(out)
+        training._begin(plan, out, begun)  # pyright: ignore[reportPrivateUsage]
+        kept = training._kept_choice(out)  # pyright: ignore[reportPrivateUsage]
         assert (kept is None) == (begun is None)
         if kept is not None:
             assert kept.card == site.card and kept.choice.sha256 == site.choice.sha256
