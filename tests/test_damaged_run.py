@@ -145,7 +145,7 @@ def test_half_a_line_at_the_end_is_dropped_and_told(
     assert read_run(run, whole=False).alerts == whole
     assert main(["report", str(run), "--no-animation"]) == 0
     lines = f"is cut off after {len(whole)} lines" if finished else "ends in half a line"
-    expected = f"alerts.jsonl {lines}: what followed is left out"
+    expected = f"alerts.jsonl {lines}: the rest is left out"
     assert f"hatn-sim: {run}: {expected}" in capsys.readouterr().err.splitlines()
     assert f"{expected}." in notices(run / "report.html")
     if finished:  # no kill did that: a replay, which needs all, is refused
@@ -218,9 +218,9 @@ def test_whole_lines_lost_at_the_end_are_told(
     run = made_up_run(tmp_path / "run", finished=finished)
     assert not [gap for gap in read_run(run, whole=False).gaps if gap.file != "scores.json"]
     left = without_last_line(run / file)
-    found = f"{file} is cut off after {left} of {left + 1} lines"
+    found = f"{file} has {left} of {left + 1} lines"
     told = [str(gap) for gap in read_run(run, whole=False).gaps]
-    assert f"{found}: what followed is left out" in told
+    assert f"{found}: the rest is left out" in told
     assert main(["score", str(run)]) == 0
     said = capsys.readouterr().err.splitlines()
     assert said[-1] == f"hatn-sim: {run}: {found}: alerts and suggestions are not scored"
@@ -332,7 +332,7 @@ def test_half_a_line_that_a_kill_left_is_told_by_score_too(
     said = capsys.readouterr()
     lines = [
         f"{run} is of an unfinished run: its first 15.0 s were written",
-        f"{run}: suggestions.jsonl ends in half a line: what followed is left out",
+        f"{run}: suggestions.jsonl ends in half a line: the rest is left out",
     ]
     assert said.err.splitlines() == [f"hatn-sim: {line}" for line in lines]
     scores = json.loads(said.out)

@@ -62,6 +62,11 @@ def test_who_gives_way_more_easily_is_told_to(
         assert warn(seen, first, second, False).ego == first
 
 
+def test_who_stands_is_told_to_wait() -> None:
+    told = warn(moment((12.0, 0.0, 0.0), (20.0, 10.0, 0.0)), 0, 1, False)
+    assert (told.action, told.text) == (BRAKE, "Wait: let the car from the right go first")
+
+
 def test_who_is_in_the_place_or_out_in_time_does_not_stop_in_it() -> None:
     inside = warn(moment((1.0, 6.0, 0.0), (14.0, 9.0, 0.0)), 0, 1, False)
     assert inside.action == CLEAR and inside.room_m is None and inside.open_s is None

@@ -480,9 +480,15 @@ def test_who_the_ego_is_told_of_goes_before_those_met_for_longer() -> None:
     focus[:, 0] = True
     focus[6] = np.isin(node[6], (0, 3, 2))  # the choice at the moment, frame 6
     other_m = np.tile(20.0 + np.arange(9), (len(frames), 1))
-    other_m[6, 3] = 5.0
+    chance = np.zeros(node.shape)
+    chance[6, [2, 3]] = 0.3, 0.7
     choices: Any = SimpleNamespace(
-        frame=frames, node=node, focus=focus, other_m=other_m, ego_m=np.full(node.shape, 9.0)
+        frame=frames,
+        node=node,
+        focus=focus,
+        chance=chance,
+        other_m=other_m,
+        ego_m=np.full(node.shape, 9.0),
     )
     told = [vehicle for vehicle, _, _ in space_time_of._met(choices, frames, 6, [8])]
     assert told == [8, 3, 2, 1, 4, 5]

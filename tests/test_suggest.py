@@ -337,6 +337,22 @@ def test_two_of_the_same_name_are_told_apart(speed_mps: float, kind: Kind, expec
     assert found.text == expected
 
 
+@pytest.mark.parametrize(("own_yield", "reason"), [(0.02, "which_gap"), (0.3, "unsure")])
+def test_who_is_likely_to_go_before_somebody_is_told_that_it_is_open_before_whom(
+    own_yield: float, reason: str
+) -> None:
+    vehicles = TWO | {"next": (0.0, -34.0, NORTH, 8.0)}
+    scene, prediction = moment(vehicles, {})
+    assert prediction.graphs is not None and prediction.slot_probability is not None
+    row = int(np.flatnonzero(prediction.graphs.ego == scene.ids.index("ego"))[0])
+    nodes = np.flatnonzero(prediction.graphs.focus_mask[row])
+    assert len(nodes) == 3
+    left = 1.0 - own_yield
+    prediction.slot_probability[row, nodes] = own_yield, 0.52 * left, 0.48 * left
+    _, (told,) = suggest(SuggestionState(), ROAD, scene, prediction, frozenset({"ego"}))
+    assert (told.action, told.reason) == ("abstain", reason)
+
+
 def test_whoever_is_spoken_of_next_is_another_one_if_called_the_same() -> None:
     _, alone = advise(TWO, [0.9, 0.1])
     assert alone.text.startswith("Yield to the car from the right")

@@ -39,6 +39,8 @@ might plausibly come sooner. Where there is time for a pass, a yield begins only
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
 STANDING_MPS: Final = 0.3
+GOES: Final = 0.9
+"""Who is as likely as this to pass before somebody, whoever that is, is likely to go first."""
 
 
 class Why(IntEnum):
@@ -60,6 +62,7 @@ class Why(IntEnum):
     MUTUAL = 13  # the other is told to yield, to the ego or to somebody who is to yield to it
     BRIEF = 14  # it would be over before a driver could react
     ALERTED = 15  # an alert tells the opposite
+    WHICH_GAP = 16  # the ego is likely to go before somebody, and nobody can tell before whom
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +200,7 @@ def _silences(
     astray_there = astray & (stands | (changes & there))
     return {
         Why.FAR: ~likely.speaks & ~likely.near & (likely.told < 0),
+        Why.WHICH_GAP: ~likely.speaks & wants_pass & (own_yield <= 1.0 - GOES),
         Why.UNSURE: ~likely.speaks,
         Why.UNSAFE_PASS: (changes & goes & ~safe & options.stays_out)
         | (begins_to_yield & wants_pass & ~((likely.slot == likely.told) & gentle)),

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.alert import Warned
+from hatn_sim.assist.choice import STANDING_MPS
 from hatn_sim.assist.moment import Moment
 from hatn_sim.assist.outlook import LEAVE_MARGIN_S, NOSE_M, approaches, look_ahead, travel_at
 from hatn_sim.assist.pairs import FOLLOW, MERGE, Pairs
@@ -130,6 +131,8 @@ def warn(moment: Moment, first: int, second: int, either: bool) -> Warned:
         return Warned(first, second, CLEAR, text=f"Go on, do not stop in the way of {who}")
     open_s = max(float(found.open_s[place]), _all_gone_s(moment, first, second))
     hard = " hard" if found.needed_mps2[place] > COMFORT_BRAKING_MPS2 else ""
+    stands = moment.scene.speed_mps[first] < STANDING_MPS
+    does = "Wait" if stands else f"Brake{hard}"
     follows = pairs.type[place[0]] == FOLLOW
     return Warned(
         first,
@@ -137,7 +140,7 @@ def warn(moment: Moment, first: int, second: int, either: bool) -> Warned:
         BRAKE,
         room_m=float(found.room_m[place]),
         open_s=min(open_s, HOLDS_S),
-        text=f"Brake{hard}: " + (f"keep behind {who}" if follows else f"let {who} go first"),
+        text=f"{does}: " + (f"keep behind {who}" if follows else f"let {who} go first"),
     )
 
 

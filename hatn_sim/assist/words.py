@@ -141,6 +141,7 @@ _LATER: Final = {HARD_LATER: "be ready to brake hard", STOP_LATER: "be ready to 
 _SILENT: Final = {
     "far": "it is still far",
     "unsure": "hard to tell who goes first",
+    "which_gap": "hard to tell before whom you will go",
     "settling": "no advice yet",
     "unsafe_pass": "to go first may not be safe",
     "too_late": "too late to yield in comfort",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Mapping
@@ -47,7 +46,7 @@ def finish(
     if not arguments.no_picture:
         shown = show_run(logged, out, arguments.quiet, not arguments.no_page)
     status = exit_status(arguments, logged.ids)
-    if arguments.acts_on_advice and not arguments.quiet:
+    if not arguments.quiet:
         tell_everyday_braking(logged)
     replayed = write_replay(logged, out, done.replay)
     if arguments.json:
@@ -88,12 +87,9 @@ def tell_counterfactuals(logged: Run) -> None:
 def tell_everyday_braking(logged: Run) -> None:
     """A notice where evasive braking is everyday braking."""
     from hatn_sim.score.driven import driven_in
-    from hatn_sim.score.events import severe_events, vehicle_hours
-    from hatn_sim.score.everyday import everyday_braking
+    from hatn_sim.score.everyday import everyday_braking_in
 
-    driven = driven_in(logged)
-    hours = vehicle_hours(driven, -math.inf, math.inf)
-    found = everyday_braking(severe_events(driven), hours)
+    found = everyday_braking_in(driven_in(logged))
     if found is not None:
         print(f"hatn-sim: {found}", file=sys.stderr)
 

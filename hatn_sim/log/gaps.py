@@ -61,7 +61,7 @@ class Gap:
             return f"{self.file} {self.found}: {what}"
         if self.is_gone:
             return f"{self.file} {self.found}: {self.part.value}"
-        return f"{self.file} {self.found}: what followed is left out"
+        return f"{self.file} {self.found}: the rest is left out"
 
 
 def find_gaps(
@@ -126,7 +126,7 @@ def _gaps_of_lines(path: Path, header: Mapping[str, Any]) -> Iterator[Gap]:
         if part is Part.ROUTES:  # told by number: all or none
             yield Gap(name, "is cut off", part)
         elif lost > 0:
-            found = f"is cut off after {len(lines)} of {noted} lines"
+            found = f"has {len(lines)} of {noted} lines"
             yield Gap(name, found, part, is_gone=False)
         elif header["finished"]:  # no kill did that, so who knows how much is lost
             yield Gap(name, f"is cut off after {len(lines)} lines", part, is_gone=False)

@@ -97,8 +97,8 @@ def passing_time_s(time_s: FloatArray, s_m: FloatArray, at_m: float) -> float | 
 def space_time(run: Run, frame: int, ego_id: str) -> SpaceTime:
     """An ego around a moment, and whom it has to choose about there or soon before and after.
 
-    Those that its advice and alerts name go before those of its choice at the moment, the nearest
-    to their conflict first, and these before those met the longest; `MOST_OTHERS` of them at most.
+    Those that its advice and alerts name go before those of its choice at the moment, the likeliest
+    slot first, and these before those met the longest; `MOST_OTHERS` of them at most.
 
     Raises:
         InputError: the ego has no slots to choose from around this moment.
@@ -207,10 +207,10 @@ def _met(
     vehicle = choices.node[row, m]
     ahead = (choices.ego_m[row, m] >= 0.0) & (choices.other_m[row, m] >= 0.0)
     now = np.flatnonzero(choices.frame[row] == frame)
-    nearest = now[np.argsort(np.abs(choices.other_m[row, m][now]), kind="stable")]
+    likeliest = now[np.argsort(-choices.chance[row, m][now], kind="stable")]
     found, count = np.unique(vehicle, return_counts=True)
     longest = found[np.argsort(-count, kind="stable")]
-    order = dict.fromkeys([*named, *vehicle[nearest].tolist(), *longest.tolist()])
+    order = dict.fromkeys([*named, *vehicle[likeliest].tolist(), *longest.tolist()])
     for one in [who for who in order if who in found][:MOST_OTHERS]:
         mine = np.flatnonzero(vehicle == one)
         best = mine[np.lexsort((choices.frame[row[mine]], ahead[mine]))[-1]]

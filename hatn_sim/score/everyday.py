@@ -8,10 +8,13 @@ contact.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Final
 
 from hatn_sim.datatypes import SafetyEvent
+from hatn_sim.score.driven import Driven
+from hatn_sim.score.events import severe_events, vehicle_hours
 
 MANY_PER_HOUR: Final = 15.0
 """Evasive brakings in an hour of a vehicle ..."""
@@ -33,3 +36,8 @@ def everyday_braking(events: Iterable[SafetyEvent], vehicle_hours: float) -> str
         "of alerts tell little here; look at recall of T1 and at close passes (near), or give the "
         "drivers a lower decel"
     )
+
+
+def everyday_braking_in(driven: Driven) -> str | None:
+    """The same of all that was driven."""
+    return everyday_braking(severe_events(driven), vehicle_hours(driven, -math.inf, math.inf))

@@ -18,6 +18,7 @@ from hatn_sim.report.table import SCORES_FILE, notes
 from hatn_sim.score.close_passes import shown_passes
 from hatn_sim.score.driven import driven_in
 from hatn_sim.score.events import severe_events
+from hatn_sim.score.everyday import everyday_braking_in
 
 SPEEDS_ADVISED: Final = slice(4, None, 5)
 """Of an advised profile: its speeds after 0.5 s, 1 s ..., told in steps of 0.1 m/s."""
@@ -131,9 +132,13 @@ def _met(
 
 
 def notices_of(run: Run) -> list[str]:
-    """What is said above all else: what is missing in the run's folder, or not known."""
-    said = [f"{gap}." for gap in run.gaps]
-    return said if run.signals_known else [*said, f"{SIGNALS_UNKNOWN}."]
+    """What is said above all else: what is missing in the run's folder, or not known, or what its
+    events do not tell."""
+    said = [str(gap) for gap in run.gaps]
+    said += [] if run.signals_known else [SIGNALS_UNKNOWN]
+    everyday = everyday_braking_in(driven_in(run))
+    said += [] if everyday is None else [everyday]
+    return [f"{one}." for one in said]
 
 
 def settings_of(run: Run) -> list[list[str]]:

@@ -78,7 +78,7 @@ function labelsOf(app, view) {
   }
   const { event } = view;
   if (event && event.other >= 0) {
-    const words = `${app.head.vehicles[event.other].look}: ${TIERS[event.kind]}`;
+    const words = `${app.head.vehicles[event.other].look}: ${event.isFor ? 'braked for' : TIERS[event.kind]}`;
     found.push({ state: view.states.get(event.other), words, back: '#ffffff', fore: '#22262b', key: 'event' });
   }
   if (event?.met) {

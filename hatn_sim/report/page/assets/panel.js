@@ -4,7 +4,8 @@
 // Why an ego is told what it is told, or nothing.
 const WHY = {
   likely_unsafe: 'the likelier slot is not safe', held: 'as told before', far: 'the conflict is far',
-  unsure: 'no slot leads by enough', settling: 'the choice is still settling',
+  unsure: 'no slot leads by enough', which_gap: 'likely to go, but before whom?',
+  settling: 'the choice is still settling',
   unsafe_pass: 'the likely pass is not safe', too_late: 'a yield would be beyond comfort',
   gone_in_time: 'likely to be out before the other comes', in_the_way: 'in the other\u2019s way already',
   other_waits: 'the other is likelier to wait', stands: 'both stand',

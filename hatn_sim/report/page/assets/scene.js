@@ -35,7 +35,9 @@ function eventOf(app, view) {
   if (!jumped || jumped.row !== 'events' || Math.abs(view.time - jumped.from) > EVENT_S) return null;
   if (jumped.ego !== app.ego && jumped.other !== app.ego) return null;
   const other = jumped.ego === app.ego ? jumped.other : jumped.ego;
-  return { kind: jumped.kind, other: view.states.has(other) ? other : -1, met: jumped.met };
+  // Of an evasive braking the first is who braked, the second whom it was for.
+  const isFor = jumped.kind === 'T2' && other === jumped.other;
+  return { kind: jumped.kind, isFor, other: view.states.has(other) ? other : -1, met: jumped.met };
 }
 
 function between(state, next, part) {
