@@ -284,6 +284,33 @@ def test_films_hold_those_told_of_and_give_way_before_they_have_to(crossing: Run
     assert centres[150, 1] == pytest.approx(25.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("pause", "most_lost"), [(0, 10), (16, 0), (30, 0)])
+def test_films_turn_to_the_other_side_in_time(
+    crossing: Run, monkeypatch: pytest.MonkeyPatch, pause: int, most_lost: int
+) -> None:
+    """Told of somebody 50 m north up to frame 150, and of another 50 m south after a pause.
+
+    One picture cannot hold the last place and the next one 25 m to each side, so that without a
+    pause somebody is lost while the camera turns.
+    """
+    from hatn_sim.report import animation
+
+    ego_xy_m = np.stack((0.8 * np.arange(300.0), np.zeros(300)), axis=1)
+    sides = dict.fromkeys(range(100, 150), 50.0)
+    sides |= dict.fromkeys(range(150 + pause, 220), -50.0)
+
+    def told(frame: int) -> Any:
+        return ego_xy_m[frame] + [[0.0, 0.0], [0.0, sides.get(frame, 0.0)]]
+
+    monkeypatch.setattr(animation, "told_of", told)
+    centres, width_m = animation._following(ego_xy_m, 1.5, iter(range(300)))  # type: ignore[arg-type]
+    half = 0.5 * np.array([width_m, width_m / 1.5])
+    lost = [one for one in sides if (np.abs(told(one) - centres[one]) > half + 1e-9).any()]
+    assert len(lost) <= most_lost and all(abs(frame - 149.5) < 5.0 for frame in lost)
+    # From 25 m (and the rim) on one side to the other over eleven frames, no faster.
+    assert np.abs(np.diff(centres[:, 1])).max() <= 55.0 / 11.0
+
+
 def test_a_moving_sheet_shows_what_a_standing_one_does(crossing: Run) -> None:
     from hatn_sim.log.road_file import ROAD_FILE, read_road
     from hatn_sim.report.canvas import FILM
