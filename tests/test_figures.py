@@ -38,7 +38,7 @@ from hatn_sim.report import (
 )
 from hatn_sim.report import space_time as space_time_of
 from hatn_sim.report.adaptation_file import read_adaptation
-from hatn_sim.report.assistance_figure import events_by_scene
+from hatn_sim.report.assistance_figure import compared_by_scene, events_by_scene
 from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
 from hatn_sim.report.moment import Moment, moment_at
 from hatn_sim.report.policy_figure import spread
@@ -562,6 +562,21 @@ def test_recall_is_told_with_its_events() -> None:
         score("c", "hatn", "all", 5, "recall_1s5"),
     ]
     assert events_by_scene(scores) == {"a": 7, "b": 0}
+    # Where all drivers of a scene are alike, there is no "all" of it, whatever others have.
+    assert events_by_scene([*scores, score("c", "hatn", "courteous", 4)])["c"] == 4
+
+
+def test_what_nobody_can_say_of_all_is_not_told_of_some() -> None:
+    told = {("event_recall", "all"): None, ("event_recall", "inattentive"): 0.4}
+    told |= {("lead_time_s", "inattentive"): 2.0, ("lead_time_s", "all"): 3.0}
+    scores = [
+        Score(measure, "hatn", "a", subset, "none", value, "1", 5, None, None)
+        for (measure, subset), value in told.items()
+    ]
+    found = compared_by_scene(scores)["a"]
+    assert {measure: one.value for (_, measure), one in found.items()} == {
+        "event_recall": None, "lead_time_s": 3.0,
+    }  # fmt: skip
 
 
 def test_intervals_of_a_tables_folder_are_drawn(
