@@ -38,7 +38,7 @@ from hatn_sim.report import (
 )
 from hatn_sim.report import space_time as space_time_of
 from hatn_sim.report.adaptation_file import read_adaptation
-from hatn_sim.report.assistance_figure import events_by_scene
+from hatn_sim.report.assistance_figure import compared_by_scene, events_by_scene
 from hatn_sim.report.kept_numbers import read_beside, read_curves, read_density, read_scores
 from hatn_sim.report.moment import Moment, moment_at
 from hatn_sim.report.policy_figure import spread
@@ -282,6 +282,33 @@ def test_films_hold_those_told_of_and_give_way_before_they_have_to(crossing: Run
     # It comes to be 25 m aside over 4 s.
     assert np.abs(np.diff(centres[:, 1])).max() < 25.0 / 40.0
     assert centres[150, 1] == pytest.approx(25.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("pause", "most_lost"), [(0, 10), (16, 0), (30, 0)])
+def test_films_turn_to_the_other_side_in_time(
+    crossing: Run, monkeypatch: pytest.MonkeyPatch, pause: int, most_lost: int
+) -> None:
+    """Told of somebody 50 m north up to frame 150, and of another 50 m south after a pause.
+
+    One picture cannot hold the last place and the next one 25 m to each side, so that without a
+    pause somebody is lost while the camera turns.
+    """
+    from hatn_sim.report import animation
+
+    ego_xy_m = np.stack((0.8 * np.arange(300.0), np.zeros(300)), axis=1)
+    sides = dict.fromkeys(range(100, 150), 50.0)
+    sides |= dict.fromkeys(range(150 + pause, 220), -50.0)
+
+    def told(frame: int) -> Any:
+        return ego_xy_m[frame] + [[0.0, 0.0], [0.0, sides.get(frame, 0.0)]]
+
+    monkeypatch.setattr(animation, "told_of", told)
+    centres, width_m = animation._following(ego_xy_m, 1.5, iter(range(300)))  # type: ignore[arg-type]
+    half = 0.5 * np.array([width_m, width_m / 1.5])
+    lost = [one for one in sides if (np.abs(told(one) - centres[one]) > half + 1e-9).any()]
+    assert len(lost) <= most_lost and all(abs(frame - 149.5) < 5.0 for frame in lost)
+    # From 25 m (and the rim) on one side to the other over eleven frames, no faster.
+    assert np.abs(np.diff(centres[:, 1])).max() <= 55.0 / 11.0
 
 
 def test_a_moving_sheet_shows_what_a_standing_one_does(crossing: Run) -> None:
@@ -541,6 +568,21 @@ def test_recall_is_told_with_its_events() -> None:
         score("c", "hatn", "all", 5, "recall_1s5"),
     ]
     assert events_by_scene(scores) == {"a": 7, "b": 0}
+    # Where all drivers of a scene are alike, there is no "all" of it, whatever others have.
+    assert events_by_scene([*scores, score("c", "hatn", "courteous", 4)])["c"] == 4
+
+
+def test_what_nobody_can_say_of_all_is_not_told_of_some() -> None:
+    told = {("event_recall", "all"): None, ("event_recall", "inattentive"): 0.4}
+    told |= {("lead_time_s", "inattentive"): 2.0, ("lead_time_s", "all"): 3.0}
+    scores = [
+        Score(measure, "hatn", "a", subset, "none", value, "1", 5, None, None)
+        for (measure, subset), value in told.items()
+    ]
+    found = compared_by_scene(scores)["a"]
+    assert {measure: one.value for (_, measure), one in found.items()} == {
+        "event_recall": None, "lead_time_s": 3.0,
+    }  # fmt: skip
 
 
 def test_intervals_of_a_tables_folder_are_drawn(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import maximum_filter1d
 
 from hatn_sim.datatypes import DT_S, FloatArray
 from hatn_sim.errors import InputError
@@ -31,6 +31,8 @@ FRAMES_PER_S: Final = 10
 SCALE_PX: Final = 120
 SMOOTH_FRAMES: Final = 20
 """The camera follows the ego's mean place over so many frames before and behind."""
+TURN_FRAMES: Final = 5
+"""Where those told of change sides, the camera takes no less than so many before and behind."""
 
 
 @dataclass(frozen=True)
@@ -149,11 +151,32 @@ def _following(
     for k, points in enumerate(told):
         held, needed_m = holding(centres[k], width_m, aspect, points)
         aside[k] = held - centres[k] if needed_m <= width_m else 0.0
+    return centres + np.stack([_given_way(along) for along in aside.T], axis=1), width_m
+
+
+def _given_way(aside_m: FloatArray) -> FloatArray:
+    """[N] how far to one axis' side the camera goes where it has to go as far as told [N], or 0.
+
+    Before and after it has to, it is as far aside as it will be or was; and it goes there slowly.
+    Between two sides it turns half-way in time, as slowly as still holds both.
+    """
     size = 2 * SMOOTH_FRAMES + 1
-    for sign in (1.0, -1.0):
-        most = maximum_filter1d(np.maximum(sign * aside, 0.0), size, axis=0, mode="nearest")
-        centres = centres + sign * uniform_filter1d(most, size, axis=0, mode="nearest")
-    return centres, width_m
+    up, down = (
+        maximum_filter1d(np.maximum(sign * aside_m, 0.0), size, mode="nearest") for sign in (1, -1)
+    )
+    wanted = up - down
+    has_to, torn = np.flatnonzero(aside_m), np.flatnonzero((up > 0.0) & (down > 0.0))
+    for frame in torn:
+        wanted[frame] = aside_m[has_to[np.abs(has_to - frame).argmin()]]
+    frames = np.arange(len(wanted))
+    reach = np.full(len(wanted), SMOOTH_FRAMES)
+    for turn in np.flatnonzero(wanted[1:] * wanted[:-1] < 0.0) + 1:
+        reach = np.minimum(reach, np.maximum(frames - turn, turn - 1 - frames))
+    reach = np.maximum(reach, TURN_FRAMES)
+    total = np.cumsum(np.pad(wanted, (SMOOTH_FRAMES + 1, SMOOTH_FRAMES), mode="edge"))
+    first = frames + SMOOTH_FRAMES - reach
+    mean: FloatArray = (total[first + 2 * reach + 1] - total[first]) / (2 * reach + 1)
+    return mean
 
 
 def _small(pixels: Pixels) -> Image.Image:

@@ -75,11 +75,15 @@ def draw_curves(
 
 def events_by_scene(scores: Sequence[Score]) -> dict[str, int]:
     """Scene -> the events that recall is of, of all drivers."""
-    recall = [one for one in scores if one.measure == "event_recall"]
-    if any(one.subset == "all" for one in recall):  # else all drivers are alike
-        recall = [one for one in recall if one.subset == "all"]
-    scenes = dict.fromkeys(one.scene for one in recall)
-    return {scene: max(one.n for one in recall if one.scene == scene) for scene in scenes}
+    of_scene: dict[str, list[Score]] = {}
+    for one in scores:
+        if one.measure == "event_recall":
+            of_scene.setdefault(one.scene, []).append(one)
+    found: dict[str, int] = {}
+    for scene, recall in of_scene.items():
+        of_all = [one for one in recall if one.subset == "all"]
+        found[scene] = max(one.n for one in of_all or recall)  # without "all" drivers are alike
+    return found
 
 
 Compared = Mapping[tuple[str, str], Score]
@@ -87,13 +91,14 @@ Compared = Mapping[tuple[str, str], Score]
 
 
 def compared_by_scene(scores: Sequence[Score]) -> Mapping[str, Compared]:
-    """Scene -> where and how sure each rule is, as the printed table has it.
+    """Scene -> where and how sure each rule is: of all drivers, as `all` of the printed table.
 
-    Of all drivers; false alarms of the courteous, where there are some, as in the curves.
+    False alarms, which say where a whisker stands, are those of the courteous, where there are
+    some, as in the curves; the table's `all` has those of everybody. A value that is None stays so.
     """
     found: dict[str, dict[tuple[str, str], Score]] = {}
     for one in sorted(scores, key=lambda one: one.subset == "all"):
-        if one.value is None or one.measure not in (*PANELS, FALSE_ALARMS):
+        if one.measure not in (*PANELS, FALSE_ALARMS):
             continue
         of_scene, key = found.setdefault(one.scene, {}), (one.predictor, one.measure)
         before = of_scene.get(key)

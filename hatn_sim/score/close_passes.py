@@ -39,7 +39,7 @@ def close_passes(driven: Driven) -> list[SafetyEvent]:
     events: list[SafetyEvent] = []
     for one, other in zip(found.first.tolist(), found.second.tolist(), strict=True):
         met = _met(driven, boxes, one, other)
-        if met is None or _same_way(driven, *met):
+        if met is None or same_way(driven, *met):
             continue
         earlier, later = met
         first, second = sorted((driven.ids[one], driven.ids[other]))
@@ -76,7 +76,7 @@ def _met(driven: Driven, boxes: Boxes, one: int, other: int) -> tuple[int, int] 
     return rows[0], rows[1]
 
 
-def _same_way(driven: Driven, earlier: int, later: int) -> bool:
+def same_way(driven: Driven, earlier: int, later: int) -> bool:
     """Whether the later one was where the earlier one had been, `BACK_M` before they met."""
     rows = driven.rows_of(int(driven.vehicle[later]))
     come_m = np.hypot(*(driven.xy_m[rows.start : later + 1] - driven.xy_m[later]).T)

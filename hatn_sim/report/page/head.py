@@ -16,7 +16,7 @@ from hatn_sim.report.page.tables import score_tables
 from hatn_sim.report.paint import look_of, paint_of
 from hatn_sim.report.table import SCORES_FILE, notes
 from hatn_sim.score.close_passes import shown_passes
-from hatn_sim.score.driven import driven_in
+from hatn_sim.score.driven import Driven, driven_in
 from hatn_sim.score.events import severe_events
 from hatn_sim.score.everyday import everyday_braking_in
 
@@ -113,7 +113,7 @@ def events_of(run: Run, origin_m: FloatArray) -> list[dict[str, Any]]:
             "second": -1 if event.second_id is None else number.get(event.second_id, -1),
             "cause": event.cause,
             "apart_s": _rounded(event.encroachment_s),
-            "met_m": _met(run, event, number, origin_m),
+            "met_m": _met(driven, event, number, origin_m),
         }
         for event in sorted(found, key=lambda one: one.start_s)
         if event.tier in ("T1", "T2", "T3")
@@ -121,13 +121,13 @@ def events_of(run: Run, origin_m: FloatArray) -> list[dict[str, Any]]:
 
 
 def _met(
-    run: Run, event: SafetyEvent, number: Mapping[str, int], origin_m: FloatArray
+    driven: Driven, event: SafetyEvent, number: Mapping[str, int], origin_m: FloatArray
 ) -> list[float] | None:
     """None: there is one vehicle only, or their ways did not meet."""
     one, other = number.get(event.first_id), number.get(event.second_id or "")
     if one is None or other is None:
         return None
-    place = meeting_place(run, one, other, int(np.abs(run.times_s - event.start_s).argmin()))
+    place = meeting_place(driven, one, other, int(np.abs(driven.time_s - event.start_s).argmin()))
     return None if place is None else np.round(place - origin_m, 1).tolist()
 
 

@@ -36,12 +36,14 @@ function start() {
   const app = makeApp(head);
   const canvas = byId('map'), ctx = canvas.getContext('2d');
   app.camera = mapCamera(canvas);
-  let dirty = true, panelAt = 0, linkAt = 0, before = 0, coming = 0, opening = false, looked = '', shownAt = 0, shownFrame = -1;
+  let dirty = true, panelAt = 0, linkAt = 0, before = 0, coming = 0, opening = false, looked = '';
+  let shownFrame = -1, followed = null; // of the last picture; whom the camera followed in it
   const redraw = () => { dirty = true; };
 
   app.choose = (vehicle) => {
     app.ego = vehicle;
     app.egoAdvice = adviceOf(app, vehicle);
+    app.lead = null;
     byId('ego').value = String(vehicle);
     panelAt = 0;
     redraw();
@@ -139,7 +141,8 @@ function start() {
     app.covers = coversOf(canvas);
     app.free = freeRectangles(app.camera.width, app.camera.height, app.covers);
   };
-  const show = (now) => {
+  // `passed`: seconds of playing since the last picture.
+  const show = (now, passed = 0) => {
     const view = head.frames ? viewOf(app) : emptyView(app);
     if (!view) return; // this moment has not arrived yet
     dirty = false;
@@ -149,12 +152,13 @@ function start() {
       frameEgo(app, view);
       [opening, looked] = [false, look()];
       app.openedAt = app.camera.scale;
-    } else if (app.playing || app.frame !== shownFrame) {
+    } else if (app.playing || app.frame !== shownFrame || (app.following && app.ego !== followed)) {
       const isUntouched = look() === looked; // nobody has moved or zoomed it since
-      if (app.following || isUntouched) attend(app, view, app.playing ? Math.max(now - shownAt, 0) / 1000 : Infinity, isUntouched);
+      const goesAlong = isUntouched && !app.still; // unasked motion
+      if (app.following || goesAlong) attend(app, view, app.playing ? passed : Infinity, goesAlong);
       if (isUntouched) looked = look();
     }
-    [shownAt, shownFrame] = [now, app.frame];
+    [shownFrame, followed] = [app.frame, app.following ? app.ego : null];
     drawScene(ctx, app, view);
     byId('clock').textContent = `${view.time.toFixed(1)} s`;
     byId('scrub').value = String(view.time);
@@ -177,13 +181,14 @@ function start() {
   };
   const tick = (now) => {
     requestAnimationFrame(tick);
+    const passed = Math.min(Math.max(now - before, 0) / 1000, 0.25);
     if (app.playing) {
-      app.frame += Math.min((now - before) / 1000, 0.25) * app.speed / head.dt_s;
+      app.frame += passed * app.speed / head.dt_s;
       if (app.frame >= head.frames - 1) { app.frame = head.frames - 1; pause(); }
       dirty = true;
     }
     before = now;
-    if (dirty) show(now);
+    if (dirty) show(now, passed);
   };
 
   fillIn(app);
