@@ -95,6 +95,9 @@ def test_a_new_reason_has_its_line_and_scores_do_not_see_it(
     assert len(alone) > 5 and {line["action"] for line in alone} >= {"abstain", "yield"}
     shutil.copytree(out, bare)
     (bare / SUGGESTIONS_FILE).write_text("".join(f"{json.dumps(line)}\n" for line in kept))
+    head = json.loads((bare / "run.json").read_text())
+    head["line_counts"][SUGGESTIONS_FILE] = len(kept)
+    (bare / "run.json").write_text(json.dumps(head))
     scored, expected = advised_in(read_run(out)), advised_in(read_run(bare))
     assert scored.encounters > 5 and scored.sampled > 100 and len(scored.probability) > 20
     np.testing.assert_equal(asdict(scored), asdict(expected))
