@@ -226,6 +226,10 @@ def test_a_run_says_what_its_weights_learnt_from() -> None:
     }
     learnt = SimpleNamespace(weights=SimpleNamespace(card={"split": split}))
     assert trained_on(learnt) == ["harbour", "roundabout8"]  # type: ignore[arg-type]
+    tuned = SimpleNamespace(weights=SimpleNamespace(card={"start": {"split": split}, "split": {
+        "train": [{"scene": "intersection5", **part}], "tune": [],
+    }}))  # fmt: skip
+    assert trained_on(tuned) == ["harbour", "intersection5", "roundabout8"]  # type: ignore[arg-type]
     assert trained_on(SimpleNamespace()) == []  # type: ignore[arg-type]
 
 

@@ -636,11 +636,34 @@ def test_who_was_trained_on_a_scene_is_marked_in_the_figure_and_kept(
     assert [one.trained for one in read_steps(path)] == [True, False]
     assert main(["figures", str(tmp_path), "--formats", "png"]) == 0
     words = {text.get_text() for text in drawn[0].findobj(Text)}
-    assert {"hatn*", "idm", "* its weights were trained on runs of this scene"} <= words
+    assert {"hatn*", "idm", "* its weights were trained or tuned on runs of this scene"} <= words
     # Tables made before this was kept are still read.
     rows = path.read_text().splitlines()
     path.write_text("\n".join(row.rsplit(",", 1)[0] for row in rows) + "\n")
     assert [one.trained for one in read_steps(path)] == [False, False]
+
+
+def test_the_figure_of_a_run_says_whose_training_scenes_it_does_not_know(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are noted of the first predictor alone; rules without weights learnt from nothing."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(steps_figure, "save_figure", lambda figure, paths: drawn.append(figure))
+    run = write_run(tmp_path / "run")
+    first = run.predictors[0]
+    told = {
+        (): f"training scenes of {first} not known",
+        (run.header["scene"],): "* its weights were trained or tuned on runs of this scene",
+    }
+    for scenes, words in told.items():
+        run.header["trained_on"], run.header["weights_sha256"] = list(scenes), {first: "0f"}
+        run_figures.RUN_FIGURES["errors"](run, run_figures.Wish(), [tmp_path / "errors.png"])
+        legend = {text.get_text() for text in drawn[-1].findobj(Text)}
+        assert legend & set(told.values()) == {words}
+    run.header["weights_sha256"] = {}
+    run.header["trained_on"] = []
+    run_figures.RUN_FIGURES["errors"](run, run_figures.Wish(), [tmp_path / "errors.png"])
+    assert not {text.get_text() for text in drawn[-1].findobj(Text)} & set(told.values())
 
 
 @pytest.mark.parametrize(

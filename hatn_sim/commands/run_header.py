@@ -77,11 +77,20 @@ def _counterfactual_settings(arguments: argparse.Namespace) -> dict[str, Any] | 
 
 
 def trained_on(predictor: Predictor) -> list[str]:
-    """Scenes and sites that the card of its weights names; none where there is no card."""
+    """Scenes and sites that its weights were trained or tuned on, and those that they began with.
+
+    As their card says; none where there is no card.
+    """
     card = getattr(getattr(predictor, "weights", None), "card", {})
+    return sorted(_learnt_from(card))
+
+
+def _learnt_from(card: Mapping[str, Any]) -> set[str]:
     split = card.get("split", {})
     used = [*split.get("train", []), *split.get("tune", [])]
-    return sorted({str(entry.get("scene") or entry.get("site")) for entry in used})
+    names = {str(entry.get("scene") or entry.get("site")) for entry in used}
+    start = card.get("start")
+    return names if start is None else names | _learnt_from(start)
 
 
 def _recorded_settings(scenario: Scenario, choice_from: Mapping[str, Any]) -> dict[str, Any]:

@@ -87,7 +87,19 @@ def _errors(run: Run, _: Wish, paths: Sequence[Path]) -> None:
         raise InputError(
             f"{run.path}: no moving vehicle was predicted and then seen for 3 s; make a longer run"
         )
-    draw_steps(errors, paths, note="" if run.finished else UNFINISHED)
+    note = "" if run.finished else UNFINISHED
+    draw_steps(errors, paths, note=note, unknown=_of_unknown_training(run))
+
+
+def _of_unknown_training(run: Run) -> list[str]:
+    """The predictors with weights of which a run does not say what these learnt from."""
+    with_weights = run.header.get("weights_sha256", {})
+    return [
+        name
+        for name in run.predictors
+        if name.removesuffix("+route") in with_weights
+        and not (_is_first(run, name) and run.trained_on)
+    ]
 
 
 def _is_first(run: Run, reported: str) -> bool:

@@ -32,7 +32,7 @@ COLUMNS: Final = (
 )  # fmt: skip
 TRAINED: Final = "trained_on_scene"
 """A column more: yes or no; tables made before it was there do not tell."""
-TRAINED_WORDS: Final = "* its weights were trained on runs of this scene"
+TRAINED_WORDS: Final = "* its weights were trained or tuned on runs of this scene"
 
 
 def write_steps(path: Path, errors: Sequence[StepErrors]) -> None:
@@ -70,12 +70,17 @@ def read_steps(path: Path) -> list[StepErrors]:
 
 
 def draw_steps(
-    errors: Sequence[StepErrors], paths: Sequence[Path], subset: str = "moving", note: str = ""
+    errors: Sequence[StepErrors],
+    paths: Sequence[Path],
+    subset: str = "moving",
+    note: str = "",
+    unknown: Sequence[str] = (),
 ) -> None:
     """Draw a row for each scene: linear axes as in the paper, and logarithmic ones.
 
-    Bands are 95 % intervals; a star marks who was trained on the scene. The format of a file is
-    what its suffix names; a `note` stands behind the title.
+    Bands are 95 % intervals; a star marks who was trained or tuned on the scene, and the
+    legend says of whom that is `unknown`. The format of a file is what its suffix names; a `note`
+    stands behind the title.
     """
     shown = [one for one in errors if one.subset == subset]
     scenes = list(dict.fromkeys(one.scene for one in shown)) or [""]
@@ -101,6 +106,9 @@ def draw_steps(
                 handles.append(Patch(color=SOFT_INK, alpha=0.3, lw=0.0, label=BAND))
             if any(one.trained for one in of_scene):
                 handles.append(Patch(alpha=0.0, lw=0.0, label=TRAINED_WORDS))
+            if unknown:
+                words = f"training scenes of {', '.join(unknown)} not known"
+                handles.append(Patch(alpha=0.0, lw=0.0, label=words))
             row[0].legend(
                 handles=handles, frameon=False, fontsize=8.5, labelcolor=INK, loc="upper left"
             )

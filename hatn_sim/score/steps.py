@@ -37,7 +37,7 @@ class StepErrors:
     low_m: FloatArray  # [F] 95 % interval of the mean; NaN where there is none
     high_m: FloatArray  # [F]
     n: int
-    trained: bool = False  # its weights were trained on this scene, by their card
+    trained: bool = False  # its weights were trained or tuned on this scene
 
 
 def errors_by_step(runs: Sequence[Run]) -> list[StepErrors]:
