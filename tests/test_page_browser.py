@@ -22,7 +22,7 @@ from page_runs import (
 
 from hatn_sim.datatypes import DT_S, Score
 from hatn_sim.log import read_run
-from hatn_sim.log.schema import ALERTS_FILE
+from hatn_sim.log.schema import ALERTS_FILE, LINE_COUNTS, RUN_FILE
 from hatn_sim.report.moment import moment_at
 from hatn_sim.report.page.page import write_page
 from hatn_sim.report.table import write_scores
@@ -208,9 +208,9 @@ def test_the_legend_tells_of_alerts_where_there_are_any(browser: Any, tmp_path: 
     for has_alerts in (True, False):
         if not has_alerts:
             (folder / ALERTS_FILE).write_text("", encoding="utf-8")
-            head = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-            head["line_counts"][ALERTS_FILE] = 0
-            (folder / "run.json").write_text(json.dumps(head), encoding="utf-8")
+            head = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+            head[LINE_COUNTS][ALERTS_FILE] = 0
+            (folder / RUN_FILE).write_text(json.dumps(head), encoding="utf-8")
         write_page(read_run(folder), folder, (20, "eastbound"))
         opened(browser, folder)
         told = browser.find_element("id", "legend").text.split("\n")
