@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from conftest import crossing_lanes, lane, scene_of
 
+from hatn_sim.assist.at_signals import without
 from hatn_sim.assist.outlines import Boxes, overlap
 from hatn_sim.assist.outlook import in_the_way, look_ahead, plausible_travel_m
 from hatn_sim.assist.suggest import SuggestionState, _gap_is_there, slot_profiles, suggest
 from hatn_sim.assist.told import Told
 from hatn_sim.assist.words import names
-from hatn_sim.datatypes import Kind, Prediction, Scene, Suggestion
+from hatn_sim.datatypes import Gate, Kind, Lane, Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import begin, perceive
 from hatn_sim.predictors.constant_velocity import extrapolate
@@ -120,6 +121,76 @@ def test_advice_does_not_begin_that_is_over_before_a_driver_can_react() -> None:
 THREE = TWO | {"third": (0.0, 34.0, -NORTH, 8.0)}
 """Whom the ego has to let go: one comes 20 m from the right, the other 34 m from the left."""
 SOUTH = Road([*crossing_lanes(), lane("north_south", [(0, 60), (0, -60)], is_connection=True)])
+
+
+def signals_at_south(others: list[Lane]) -> Road:
+    """Whoever comes from the south has a signal, 8 m before the middle."""
+    lanes = [one for one in others if one.id != "s"]
+    signal = {"sn": 0}
+    return Road([*lanes, lane("s", [(0, -108), (0, -8)], "sn", gate=Gate.SIGNAL, signals=signal)])
+
+
+@pytest.mark.parametrize(
+    ("closed", "speed_mps", "expected"),
+    [
+        (False, 8.0, ["yield"]),
+        (True, 8.0, []),  # 9.5 m to the signal: 3.4 m/s^2
+        (True, 9.2, []),  # 4.5 m/s^2
+        (True, 9.3, ["yield"]),  # will hardly stop
+    ],
+)
+def test_nothing_is_said_of_one_whom_a_closed_signal_holds(
+    closed: bool, speed_mps: float, expected: list[str]
+) -> None:
+    road = signals_at_south(crossing_lanes())
+    scene = scene_of(0.0, TWO | {"other": (0.0, -20.0, NORTH, speed_mps)})
+    scene = replace(scene, signal_closed=np.array([closed]))
+    scene, prediction = moment_of(road, scene, {"ego": [0.9, 0.1]})
+    state, said = SuggestionState(), ()
+    for frame in range(4):
+        now = replace(scene, time_s=0.1 * frame)
+        state, said = suggest(state, road, now, prediction, frozenset({"ego"}))
+    assert [one.action for one in said] == expected
+
+
+def test_whom_a_signal_holds_leaves_his_chance_to_the_others() -> None:
+    lanes = [*crossing_lanes(), lane("north_south", [(0, 60), (0, -60)], is_connection=True)]
+    road = signals_at_south(lanes)
+    scene = replace(scene_of(0.0, THREE), signal_closed=np.array([True]))
+    scene, prediction = moment_of(road, scene, {"ego": [0.1, 0.6, 0.3]})
+    graphs = prediction.graphs
+    assert graphs is not None
+    row = graphs.ego.tolist().index(scene.ids.index("ego"))
+    nodes = [scene.ids[v] for v in graphs.rear[row, :3].tolist()]
+    assert sorted(nodes) == ["ego", "other", "third"]
+    _, (told,) = suggest(SuggestionState(), road, scene, prediction, frozenset({"ego"}))
+    assert told.slot_id == "third"
+    # A yield, with 0.1; to go first has 0.6 + 0.3, whoever of the others comes next.
+    assert (told.probability, told.margin) == pytest.approx((0.1, 0.1 - 0.9))
+    # As if he were not there.
+    alone = replace(scene_of(0.0, {k: v for k, v in THREE.items() if k != "other"}))
+    alone = replace(alone, signal_closed=np.array([True]))
+    scene, prediction = moment_of(road, alone, {"ego": [0.1, 0.9]})
+    _, (without,) = suggest(SuggestionState(), road, scene, prediction, frozenset({"ego"}))
+    assert (told.action, told.reason, told.text) == (without.action, without.reason, without.text)
+
+
+def test_a_pass_before_one_who_is_held_is_a_pass_before_the_rest_evenly() -> None:
+    scene, prediction = moment_of(SOUTH, scene_of(0.0, THREE | {"late": (0, -31, NORTH, 8.0)}))
+    graphs = prediction.graphs
+    assert graphs is not None
+    row = graphs.ego.tolist().index(scene.ids.index("ego"))
+    of = np.zeros(graphs.node_mask.shape)
+    of[:, 0] = 1.0
+    of[row, :4] = 0.25, 0.75, 0.0, 0.0
+    held = np.zeros(of.shape, dtype=np.bool_)
+    held[row, 1] = True
+    rest = without(replace(prediction, slot_probability=of), held)
+    assert rest.graphs is not None and rest.slot_probability is not None
+    np.testing.assert_allclose(rest.slot_probability[row, [0, 2, 3]], [0.25, 0.375, 0.375])
+    assert rest.graphs.focus_mask[row].tolist()[:4] == [True, False, True, True]
+    others = np.arange(len(of)) != row
+    np.testing.assert_array_equal(rest.slot_probability[others], of[others])
 
 
 def test_a_yield_names_the_same_vehicle_while_it_has_to_be_let_go() -> None:

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.at_signals import held_at_signals, without
 from hatn_sim.assist.braked_for import braked_for_first
 from hatn_sim.assist.choice import PASS_MARGIN_S, STANDING_MPS, Chosen, Why, choose
 from hatn_sim.assist.likely import Likely, likely_slots
@@ -71,10 +72,13 @@ def suggest(
 
     `pairs` are those of the moment, if they are known already.
     """
+    assert prediction.graphs is not None and prediction.lines is not None
+    stopped = stopped_at_line(state.stopped, scene, prediction.graphs)
+    held = held_at_signals(road, scene, prediction.lines, prediction.graphs)
+    prediction = without(prediction, held)
     graphs, chances = prediction.graphs, prediction.slot_probability
     assert graphs is not None and chances is not None
-    stopped = stopped_at_line(state.stopped, scene, graphs)
-    # At a red light there is nothing to choose.
+    # At a red light there is nothing to choose, for the ego as for those whom it might meet.
     choice = graphs.has_conflict & (graphs.focus_mask.sum(axis=1) > 1) & ~graphs.ego_at_red
     if egos is not None:
         choice &= np.array([scene.ids[v] in egos for v in graphs.ego.tolist()], dtype=np.bool_)
