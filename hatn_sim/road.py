@@ -342,6 +342,13 @@ class Road:
             )
         )
 
+    def find_all_conflicts(self, most_lines: int) -> None:
+        """Find out at once who meets whom, where no more lines than so many were drawn."""
+        lines = np.array(sorted(self._line_of.values()), dtype=np.int64)
+        if len(lines) <= most_lines:
+            first, second = np.triu_indices(len(lines), 1)
+            self.conflict_table.of_pairs(lines[first], lines[second])
+
     def _at_junction(
         self, lines: tuple[int, int], conflict: Conflict, within_m: float
     ) -> tuple[bool, bool]:

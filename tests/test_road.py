@@ -207,6 +207,29 @@ def test_the_table_of_a_pair_is_the_same_from_both_sides(crossing: Road) -> None
     np.testing.assert_array_equal(found.exit_s_m[2], alone.exit_s_m)
 
 
+def test_all_conflicts_are_found_at_once_where_lines_are_few(
+    crossing: Road, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = np.array([crossing.line(r) for r in (WEST_NORTH, SOUTH_NORTH, WEST_EAST)])
+    pairs = np.repeat(lines, 3), np.tile(lines, 3)
+    one_by_one = Road(crossing_lanes())
+    for route in (WEST_NORTH, SOUTH_NORTH, WEST_EAST):
+        one_by_one.line(route)
+    expected = one_by_one.conflict_table.of_pairs(*pairs)
+    crossing.find_all_conflicts(most_lines=2)
+    assert len(crossing.conflict_table) == 0
+    crossing.find_all_conflicts(most_lines=3)
+    monkeypatch.setattr("hatn_sim.road.find_conflicts", None)  # it is not asked again
+    found = crossing.conflict_table.of_pairs(*pairs)
+    np.testing.assert_array_equal(found.pair, expected.pair)
+    np.testing.assert_array_equal(found.rows, expected.rows)
+    # Lines that were let go are not asked about.
+    for _ in range(3):
+        crossing.touch(lines[:1])
+    crossing.release(idle_frames=2)
+    crossing.find_all_conflicts(most_lines=3)
+
+
 def vertices(road: Road, line: int) -> FloatArray:
     """[P, 2]"""
     return road.xy_m[road.offset[line] : road.offset[line] + road.count[line]].copy()

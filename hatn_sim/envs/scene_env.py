@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 import gymnasium
 import numpy as np
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 Reset = tuple[Observation, dict[str, Any]]
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
+FEW_LINES: Final = 48
+"""Of no more reference lines it is found out at once where they meet: a second's work."""
 
 
 class SceneEnv(gymnasium.Env[Observation, Any]):
@@ -154,6 +156,8 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         episode = Episode(ego_id, number, road, frames[-1], mind)
         episode.begin()
         yield from self._think(episode, frames[-1:])
+        if mind is not None:
+            road.find_all_conflicts(FEW_LINES)  # not in the episodes to come, one by one
         self._episode = episode
         observation = self._observation(episode)
         if self.render_mode == "human":
