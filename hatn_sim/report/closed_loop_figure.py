@@ -25,6 +25,7 @@ UP: Final = {
 WIDTH_IN: Final = 10.5
 ROW_IN: Final = 3.1
 EDGES_IN: Final = 0.9
+MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 LEAST_EVENTS: Final = 0.1
 """No axis of events ends lower: where there were none, that is seen."""
 
@@ -49,7 +50,8 @@ def draw_closed_loop(scores: Sequence[Score], agent: str, paths: Sequence[Path])
                 error = by_key.get((scene, "all", name, ACROSS))
                 drive = by_key.get((scene, agent, name, measure))
                 if error is not None and drive is not None:
-                    _point(axes, error, drive, name, COLOURS[number % len(COLOURS)])
+                    look = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
+                    _point(axes, error, drive, name, *look)
             reference = by_key.get((scene, REFERENCE, REFERENCE, measure))
             if reference is not None and reference.value is not None:
                 axes.axhline(reference.value, color=SOFT_INK, lw=1.0, ls="--")
@@ -63,14 +65,17 @@ def draw_closed_loop(scores: Sequence[Score], agent: str, paths: Sequence[Path])
         row[0].set_title(scene, loc="left", fontsize=10.5, color=INK)
     for axes in grid[-1]:
         axes.set_xlabel("open loop: mean error over 3 s, m", color=INK, fontsize=9)
-    if grid[0, 0].get_legend_handles_labels()[0]:
-        grid[0, 0].legend(frameon=False, fontsize=8, labelcolor=INK)
+    handles, labels = grid[-1, 0].get_legend_handles_labels()
+    if handles:
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=9
+        )
     title = f"Driven by {agent}: error of the prediction against the drive (dashed: {REFERENCE})"
     head_chart(figure, title, 12)
     save_figure(figure, paths)
 
 
-def _point(axes: Axes, error: Score, drive: Score, name: str, colour: str) -> None:
+def _point(axes: Axes, error: Score, drive: Score, name: str, colour: str, marker: str) -> None:
     if error.value is None or drive.value is None:
         return
     axes.errorbar(
@@ -78,8 +83,9 @@ def _point(axes: Axes, error: Score, drive: Score, name: str, colour: str) -> No
         [drive.value],
         xerr=_beside(error),
         yerr=_beside(drive),
-        fmt="o",
-        ms=5,
+        fmt=marker,
+        ms=5.5,
+        clip_on=False,  # none at all is on the edge
         lw=1.2,
         color=colour,
         label=name.replace("_", " "),
