@@ -135,3 +135,14 @@ def interpolate(
     low, high = values.take(at, axis=0), values.take(at + 1, axis=0)
     part = part.reshape(part.shape + (1,) * (low.ndim - part.ndim))
     return low + part * (high - low)
+
+
+def smooth_curvature_per_m(yaw_rad: FloatArray, step_m: float) -> FloatArray:
+    """Change of direction [P] of a polyline, left positive, averaged over nine vertices.
+
+    Lanes come as polylines with corners. `yaw_rad` [P] is unwrapped, a vertex every `step_m`.
+    """
+    raw = np.gradient(yaw_rad, step_m)
+    kernel = np.full(9, 1.0 / 9.0)
+    padded = np.concatenate((np.full(4, raw[0]), raw, np.full(4, raw[-1])))
+    return np.convolve(padded, kernel, mode="valid")

@@ -27,6 +27,7 @@ from hatn_sim.geometry import (
     nearest_vertex,
     project_at,
     resample,
+    smooth_curvature_per_m,
     tangent_rad,
     window,
 )
@@ -173,7 +174,7 @@ class Road:
         lane_at = np.clip(np.searchsorted(start_s_m, at_m, side="right") - 1, 0, len(lanes) - 1)
         self.xy_m[own], self.yaw_rad[own] = xy_m, yaw_rad
         self.speed_limit_mps[own] = np.array([lane.speed_limit_mps for lane in lanes])[lane_at]
-        self.curvature_per_m[own] = _smooth_curvature(yaw_rad)
+        self.curvature_per_m[own] = smooth_curvature_per_m(yaw_rad, LINE_STEP_M)
         self._add_gates(index, lanes, start_s_m, lengths)
         return index
 
@@ -395,11 +396,3 @@ _NO_GATES: Final = {
 """Per-line arrays [L, MAX_FORKS], and what they hold where there is nothing."""
 _PER_LINE: Final = ("offset", "count", "_touched", *_NO_GATES)
 _PER_VERTEX: Final = ("xy_m", "yaw_rad", "speed_limit_mps", "curvature_per_m")
-
-
-def _smooth_curvature(yaw_rad: FloatArray) -> FloatArray:
-    """Change of direction per metre, averaged over 4 m: lanes come as polylines with corners."""
-    raw = np.gradient(yaw_rad, LINE_STEP_M)
-    kernel = np.full(9, 1.0 / 9.0)
-    padded = np.concatenate((np.full(4, raw[0]), raw, np.full(4, raw[-1])))
-    return np.convolve(padded, kernel, mode="valid")

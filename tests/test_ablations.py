@@ -17,7 +17,7 @@ from hatn_sim import cli
 from hatn_sim.datatypes import FloatArray, IntArray
 from hatn_sim.evaluation.arrays import displacement_scores, error_scores
 from hatn_sim.evaluation.paper import SUMMARISES, TABLES
-from hatn_sim.hatn.edn import PAPER, EdnSettings
+from hatn_sim.hatn.edn_settings import PAPER, EdnSettings
 from hatn_sim.hatn.sgn_settings import paper_sgn
 from hatn_sim.learn import ablation_training, ablations
 from hatn_sim.learn.ablation_scores import judge

@@ -37,7 +37,8 @@ from hatn_sim.hatn.adaptation_memory import (
     learn,
     rows_of,
 )
-from hatn_sim.hatn.edn import PAPER, EdnSettings, EncoderDecoderNetwork, VehicleBatch
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch
+from hatn_sim.hatn.edn_settings import PAPER, EdnSettings
 from hatn_sim.hatn.inputs import LINE_AT_M, to_vehicle_frame
 
 torch.set_num_threads(1)

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from hatn_sim import cli
-from hatn_sim.hatn.edn import PAPER, EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_settings import PAPER, EdnSettings
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import save_weights

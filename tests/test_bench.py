@@ -18,7 +18,8 @@ from hatn_sim.bench import STAGES, Stopwatch, peak_memory_mb
 from hatn_sim.bench_scaling import APART_M, copy_lanes, copy_scene
 from hatn_sim.envs import speed
 from hatn_sim.graph import build_graphs
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import save_weights

@@ -65,7 +65,8 @@ def weights(tmp_path: Path) -> Path:
     """Networks that have learned nothing."""
     import torch
 
-    from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+    from hatn_sim.hatn.edn import EncoderDecoderNetwork
+    from hatn_sim.hatn.edn_settings import EdnSettings
     from hatn_sim.hatn.sgn import SemanticGraphNetwork
     from hatn_sim.hatn.sgn_settings import SgnSettings
     from hatn_sim.hatn.weights_io import save_weights

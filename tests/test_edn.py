@@ -12,15 +12,9 @@ import torch
 from torch import Tensor
 
 from hatn_sim.hatn import edn_plain
-from hatn_sim.hatn.edn import (
-    PAPER,
-    EdnSettings,
-    EncoderDecoderNetwork,
-    Signal,
-    VehicleBatch,
-    edn_loss,
-)
+from hatn_sim.hatn.edn import EncoderDecoderNetwork, VehicleBatch, edn_loss
 from hatn_sim.hatn.edn_program import frozen_edn
+from hatn_sim.hatn.edn_settings import PAPER, EdnSettings, Signal
 from hatn_sim.hatn.inputs import LINE_AT_M, to_map_frame, to_vehicle_frame
 from hatn_sim.hatn.kinematics import gap_ahead_m, path_along, positions, present_motion
 from hatn_sim.learn.augment import (

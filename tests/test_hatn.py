@@ -18,7 +18,8 @@ from hatn_sim.graph import CONTEXT, CONTEXT_SIZE
 from hatn_sim.hatn import edn as edn_module
 from hatn_sim.hatn import edn_kinematic, weights_io
 from hatn_sim.hatn import sgn as sgn_module
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.inputs import HISTORY
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import card_of, load_weights, save_weights

@@ -23,7 +23,8 @@ from hatn_sim.config import load_tracks
 from hatn_sim.datatypes import DT_S
 from hatn_sim.errors import InputError
 from hatn_sim.evaluation.seen import was_seen
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.predictor import Hatn
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings

@@ -10,7 +10,8 @@ import pytest
 
 from hatn_sim import cli
 from hatn_sim.evaluation.seen import was_seen
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import save_weights

@@ -1,9 +1,9 @@
 """The encoder-decoder network (the paper's section 5): how a vehicle drives to its goal.
 
 A GRU reads the history; a GRU stacked with three dense layers writes the future, a step of 0.1 s at
-a time. Everything the paper tried is a setting of this one network; `PAPER` is its best form. Ours
-emits bounded changes of acceleration and of curvature, which are integrated to positions, as METHOD
-section 3 has it under "Beyond the paper".
+a time. Everything the paper tried is a setting of this one network; `edn_settings.PAPER` is its
+best form. Ours emits bounded changes of acceleration and of curvature, which are integrated to
+positions, as METHOD section 3 has it under "Beyond the paper".
 
 The decoder is written out by hand, so that the parameters of any layer may be each vehicle's own
 (online adaptation): [B, out, in] in place of [out, in].
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import torch
 from torch import Tensor, nn
@@ -28,37 +28,10 @@ from hatn_sim.hatn.edn_kinematic import (
     MAX_SWERVE_PER_M,
     START_LIMITS,
 )
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.kinematics import path_along, positions, present_motion
 
-Signal = Literal["none", "transform", "input", "output", "hidden"]
-"""How the decoder learns of the goal, or of the step it is at."""
 GOAL_SCALE_M: Final = 10.0
-
-
-@dataclass(frozen=True)
-class EdnSettings:
-    """The shape of the network, stored in the card of its weights."""
-
-    width: int = 64
-    dropout: float = 0.0
-    decoder: Literal["kinematic", "plain"] = "kinematic"
-    goal: Signal = "input"
-    goal_steps: Literal[1, 6] = 6  # 1: the distance in 3 s; 6: those of `PROFILE_S`
-    clock: Signal = "input"
-    # Of the plain decoder:
-    coordinates: Literal["frenet", "cartesian"] = "frenet"
-    speed_in: bool = True
-    speed_out: bool = False
-    yaw_in: bool = True
-    yaw_out: bool = False
-    incremental: bool = True
-    aligned: bool = True
-    teacher_forcing: bool = False
-    attention: bool = False
-
-
-PAPER: Final = EdnSettings(decoder="plain", goal_steps=1)
-"""The paper's best: Frenet, speed and yaw read, incremental, aligned, goal and step as input."""
 
 
 @dataclass(frozen=True, eq=False)

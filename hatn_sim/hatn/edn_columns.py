@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from hatn_sim.datatypes import DT_S, HORIZON_FRAMES
 from hatn_sim.hatn import edn_kinematic
-from hatn_sim.hatn.edn import GOAL_SCALE_M, EdnSettings, EncoderDecoderNetwork, decoder_input
+from hatn_sim.hatn.edn import GOAL_SCALE_M, EncoderDecoderNetwork, decoder_input
 from hatn_sim.hatn.edn_kinematic import (
     ACCELERATION_MPS2,
     AHEAD_STEPS,
@@ -19,6 +19,7 @@ from hatn_sim.hatn.edn_kinematic import (
     MAX_SLOPE,
     MAX_SWERVE_PER_M,
 )
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.gru_columns import Cell, LastState, gates, reading_halves
 from hatn_sim.hatn.kinematics import path_along, positions, present_motion
 

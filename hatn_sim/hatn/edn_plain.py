@@ -7,15 +7,13 @@ positions count from the vehicle's present one.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.inputs import LINE_AT_M
-
-if TYPE_CHECKING:
-    from hatn_sim.hatn.edn import EdnSettings
 
 ALIGNED_SCALE_M: Final = 10.0
 MAP_SCALE_M: Final = 50.0

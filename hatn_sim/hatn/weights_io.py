@@ -24,7 +24,8 @@ from hatn_sim.graph import CONTEXT
 from hatn_sim.hatn import edn as edn_module
 from hatn_sim.hatn import edn_kinematic, edn_plain, kinematics
 from hatn_sim.hatn import sgn as sgn_module
-from hatn_sim.hatn.edn import EdnSettings, EncoderDecoderNetwork
+from hatn_sim.hatn.edn import EncoderDecoderNetwork
+from hatn_sim.hatn.edn_settings import EdnSettings
 from hatn_sim.hatn.inputs import HISTORY, LINE_AT_M
 from hatn_sim.hatn.sgn import SemanticGraphNetwork
 from hatn_sim.hatn.sgn_settings import SgnSettings

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from hatn_sim.evaluation.paper import SUMMARISES
-from hatn_sim.hatn.edn import EdnSettings, Signal
+from hatn_sim.hatn.edn_settings import EdnSettings, Signal
 from hatn_sim.hatn.sgn_settings import SgnSettings, best_sgn, paper_sgn, paper_variants
 
 TABLES: Final = ("sgn", "edn", "intention", "summary")

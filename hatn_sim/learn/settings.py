@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final, get_type_hints
 
 from hatn_sim.errors import InputError, nearest
-from hatn_sim.hatn.edn import PAPER, EdnSettings
+from hatn_sim.hatn.edn_settings import PAPER, EdnSettings
 from hatn_sim.hatn.sgn_settings import SgnSettings, best_sgn, paper_sgn
 from hatn_sim.hatn.weights_io import RANGES, unfit
 from hatn_sim.learn.fit import FitSettings
