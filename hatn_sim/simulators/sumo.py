@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import pickle
-import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from hatn_sim.datatypes import (
     DT_S,
@@ -19,11 +16,10 @@ from hatn_sim.datatypes import (
     Frame,
     Lane,
     Route,
-    Scene,
-    Truth,
 )
 from hatn_sim.errors import InputError, RunningError, SimulatorError, WindowClosedError
 from hatn_sim.simulators.sumo_config import MAX_SEED, start_options
+from hatn_sim.simulators.sumo_frames import frames_of
 from hatn_sim.simulators.sumo_lanes import lanes_of
 from hatn_sim.simulators.sumo_messages import (
     Advance,
@@ -46,7 +42,6 @@ from hatn_sim.simulators.sumo_messages import (
     Started,
     WindowClosed,
     accelerations,
-    numbers_of,
 )
 from hatn_sim.simulators.sumo_process import SumoWorker, WorkerDiedError, Workers, one_line
 from hatn_sim.simulators.sumo_window import START
@@ -349,43 +344,9 @@ class SumoSimulator:
             raise InputError(f"{self.scenario.config_path}: {fault}; correct the scene")
 
     def _frames(self, raw: Sequence[RawFrame]) -> list[Frame]:
-        rows = numbers_of(raw)
-        numbers = rows[:, 7:11].astype(np.int64)
-        xy_m, size_m, colour = rows[:, 0:2].copy(), rows[:, 5:7].copy(), numbers[:, 1:4].copy()
-        yaw_rad, speed_mps, kind = rows[:, 2].copy(), rows[:, 3].copy(), numbers[:, 0].copy()
-        blinker = rows[:, 4].astype(np.int64)
-        frames: list[Frame] = []
-        begin = 0
-        for one in raw:
-            own = slice(begin, begin + len(one.ids))
-            begin = own.stop
-            scene = Scene(
-                time_s=one.time_s,
-                ids=one.ids,
-                xy_m=xy_m[own],
-                yaw_rad=yaw_rad[own],
-                speed_mps=speed_mps[own],
-                size_m=size_m[own],
-                kind=kind[own],
-                colour=colour[own],
-                blinker=blinker[own],
-                signal_closed=one.signal_closed,
-            )
-            frames.append(Frame(scene=scene, truth=self._truth(one), done=one.done))
+        frames = frames_of(raw, self._routes)
         self._time_s, self.sumo_s = raw[-1].time_s, raw[-1].sumo_s
         return frames
-
-    def _truth(self, raw: RawFrame) -> Truth:
-        # Every route comes with strings of its own: in a city they would fill the memory.
-        self._routes.extend(tuple(map(sys.intern, route)) for route in raw.new_routes)
-        return Truth(
-            routes=tuple(self._routes[index] if index >= 0 else None for index in raw.routes),
-            collisions=raw.collisions,
-            emergency_braking=raw.emergency_braking,
-            departed=raw.departed,
-            arrived=raw.arrived,
-            teleported=raw.teleported,
-        )
 
 
 class SumoBranch:
