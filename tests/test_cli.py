@@ -306,6 +306,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.usefixtures("networks_frozen_anew")
 def test_a_seed_gives_the_same_log_byte_for_byte_and_another_gives_another(
     street: Path, weights: Path
 ) -> None:
