@@ -6,7 +6,7 @@ import hashlib
 import os
 import signal
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads only wait here
@@ -21,6 +21,12 @@ from hatn_sim.simulators import sumo_process
 
 settings.register_profile("still", derandomize=True, deadline=None, max_examples=25)
 settings.load_profile("still")
+
+
+def slow_but(every: Iterable[str], *kept: str) -> list[Any]:
+    """Parameters of a test: all of them, of which only those kept run by default."""
+    marks = pytest.mark.slow
+    return [one if one in kept else pytest.param(one, marks=marks) for one in every]
 
 
 def heed_ctrl_c() -> None:

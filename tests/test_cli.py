@@ -579,8 +579,8 @@ def test_scenarios_lists_every_scene_with_its_card(capsys: pytest.CaptureFixture
 def test_scenarios_measured_anew_stand_beside_the_card(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scenarios, "WARM_UP_S", 100.0)  # bounds are wide
-    words = ("scenarios", "tjunction", "--measure", "--seeds", "1", "--duration", "30")
+    monkeypatch.setattr(scenarios, "WARM_UP_S", 50.0)  # bounds are wide
+    words = ("scenarios", "tjunction", "--measure", "--seeds", "1", "--duration", "20")
     assert code_of(*words, "--json") == 0
     printed = capsys.readouterr()
     # courteous at normal density is measured once for both tables

@@ -135,7 +135,7 @@ def test_a_fault_of_somebodys_agent_is_one_line(
 
 
 def test_a_run_replayed_inside_sumo(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("--duration", 30, "--predictor", "hatn", "--lines", "route")
+    words = ("--duration", 16, "--predictor", "hatn", "--lines", "route")
     assert cli.main(["run", "tjunction", *map(str, words), *QUICK[2:], "--out", "run"]) == 0
     replay = ["run", "run", "--net", str(NET), *QUICK[2:]]
     # Nobody is taken over: the same scenes and so the same advice.
@@ -143,6 +143,7 @@ def test_a_run_replayed_inside_sumo(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("suggestions.jsonl", "alerts.jsonl"):
         assert Path("again", name).read_bytes() == Path("run", name).read_bytes()
     recorded = read_run(Path("run"))
+    assert recorded.suggestions
     # Taken over in the middle, one vehicle keeps the speed that it was recorded with just then.
     by_time = {name: speeds(recorded, name) for name in recorded.ids}
     name, own = next(
