@@ -55,7 +55,7 @@ def test_it_is_a_schema_of_the_version_of_the_log() -> None:
 
 def test_lines_of_a_run_are_of_the_schema(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    words = ["run", "intersection5", "--risk", "inattentive", "--duration", "12", "--seed", "301"]
+    words = ["run", "intersection5", "--risk", "inattentive", "--duration", "20", "--seed", "301"]
     assert (
         cli.main([*words, "--assist", "--quiet", "--no-picture", "--json", "--out", str(out)]) == 0
     )
