@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import signal
-from collections.abc import Generator
+import sys
+from collections.abc import Callable, Generator, Iterable
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads only wait here
 
@@ -18,6 +21,12 @@ from hatn_sim.simulators import sumo_process
 
 settings.register_profile("still", derandomize=True, deadline=None, max_examples=25)
 settings.load_profile("still")
+
+
+def slow_but(every: Iterable[str], *kept: str) -> list[Any]:
+    """Parameters of a test: all of them, of which only those kept run by default."""
+    marks = pytest.mark.slow
+    return [one if one in kept else pytest.param(one, marks=marks) for one in every]
 
 
 def heed_ctrl_c() -> None:
@@ -115,3 +124,50 @@ def nursery_that_stays() -> Generator[None, None, None]:
         yield
         for nursery in list(StayingNursery._known.values()):
             nursery.leave()
+
+
+FREEZERS = {
+    "hatn_sim.hatn.predictor": ("frozen_sgn", "frozen_edn"),
+    "hatn_sim.hatn.adaptation_layer": ("frozen_edn",),
+}
+"""Who freezes networks, and by which functions."""
+
+
+def once_for_equals(freeze: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, asked once for networks of the same settings and weights."""
+    known: dict[Any, Any] = {}
+
+    def frozen(network: Any, *how: object, **more: object) -> Any:
+        content = hashlib.sha256()
+        for name, tensor in network.state_dict().items():
+            content.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+            content.update(tensor.numpy().tobytes())
+        key = (type(network), repr(network.settings), how, *more.items(), content.digest())
+        if key not in known:
+            known[key] = freeze(network, *how, **more)
+        return known[key]
+
+    return frozen
+
+
+@pytest.fixture(autouse=True, scope="session")
+def networks_frozen_once() -> Generator[None, None, None]:
+    """To freeze a network takes a second, and a frozen one keeps nothing.
+
+    Where nobody has imported it yet, it is left as it is: that alone would take two seconds.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        for module, names in FREEZERS.items():
+            for name in names if module in sys.modules else ():
+                patch.setattr(f"{module}.{name}", once_for_equals(vars(sys.modules[module])[name]))
+        yield
+
+
+@pytest.fixture
+def networks_frozen_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a program of its own, for tests that ask whether a second run is the first."""
+    from hatn_sim.hatn import adaptation_layer, edn_program, predictor, sgn_program
+
+    monkeypatch.setattr(predictor, "frozen_sgn", sgn_program.frozen_sgn)
+    for module in (predictor, adaptation_layer):
+        monkeypatch.setattr(module, "frozen_edn", edn_program.frozen_edn)

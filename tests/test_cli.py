@@ -307,6 +307,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.usefixtures("networks_frozen_anew")
 def test_a_seed_gives_the_same_log_byte_for_byte_and_another_gives_another(
     street: Path, weights: Path
 ) -> None:
@@ -579,8 +580,8 @@ def test_scenarios_lists_every_scene_with_its_card(capsys: pytest.CaptureFixture
 def test_scenarios_measured_anew_stand_beside_the_card(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scenarios, "WARM_UP_S", 100.0)  # bounds are wide
-    words = ("scenarios", "tjunction", "--measure", "--seeds", "1", "--duration", "30")
+    monkeypatch.setattr(scenarios, "WARM_UP_S", 50.0)  # bounds are wide
+    words = ("scenarios", "tjunction", "--measure", "--seeds", "1", "--duration", "20")
     assert code_of(*words, "--json") == 0
     printed = capsys.readouterr()
     # courteous at normal density is measured once for both tables

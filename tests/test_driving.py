@@ -143,6 +143,7 @@ def test_a_run_replayed_inside_sumo(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("suggestions.jsonl", "alerts.jsonl"):
         assert Path("again", name).read_bytes() == Path("run", name).read_bytes()
     recorded = read_run(Path("run"))
+    assert recorded.suggestions
     # Taken over in the middle, one vehicle keeps the speed that it was recorded with just then.
     by_time = {name: speeds(recorded, name) for name in recorded.ids}
     name, own = next(

@@ -191,7 +191,13 @@ def test_who_reverses_stands_along_its_nose(speed_mps: float) -> None:
     assert float(now.curvature_per_m) == pytest.approx(1.0 / 8.0, rel=0.01)
 
 
-@pytest.mark.parametrize("settings", (*SETTINGS, *IN_COLUMNS))
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pytest.param(one, marks=pytest.mark.slow) if one in (SETTINGS[2], IN_COLUMNS[1]) else one
+        for one in (*SETTINGS, *IN_COLUMNS)
+    ],
+)
 def test_the_frozen_decoder_is_the_decoder(settings: EdnSettings) -> None:
     """Also where it brakes to a halt and steers up to every limit; for any number of vehicles."""
     torch.manual_seed(0)

@@ -459,11 +459,11 @@ def test_an_environment_that_predicts_is_pickled_with_its_predictors_name(make: 
 
 
 def test_an_ego_that_never_comes(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hatn_sim.envs.ego.LONGEST_WAIT_S", 60.0)
+    monkeypatch.setattr("hatn_sim.envs.ego.LONGEST_WAIT_S", 15.0)
     with pytest.raises(EgoError, match="nobody called 'nobody' is in the route files of street"):
         make(scene=str(STREET), predictor=None, ego_id="nobody")
     env = make(scene="highway_intersection", predictor=None, ego="taken_over", ego_id="nobody")
-    with pytest.raises(EgoError, match=r"did not come on the road in the 60 s .* where waiting"):
+    with pytest.raises(EgoError, match=r"did not come on the road in the 15 s .* where waiting"):
         env.reset(seed=1)
     late = make(scene=str(STREET), predictor=None, warm_up_s=599.9, ego="taken_over")
     with pytest.raises(EgoError, match=r"where the scene is over; choose a shorter warm_up_s$"):

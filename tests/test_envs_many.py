@@ -330,7 +330,7 @@ def test_what_workers_are_forked_from_may_be_killed() -> None:
 def test_simulators_that_nobody_closes_do_not_pile_up() -> None:
     before = own()[0]
     scenario = load_scenario(str(STREET))
-    for _ in range(5):
+    for _ in range(3):
         simulator = SumoSimulator(scenario)
         simulator.reset(1)
         left = own()[0] - before - {simulator.worker_pid}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from conftest import scene_of
+from conftest import scene_of, slow_but
 from highway_env.envs.intersection_env import ConnectedLaneIntersectionEnv
 from highway_env.envs.roundabout_env import ConnectedLaneRoundaboutEnv
 from highway_env.vehicle.behavior import IDMVehicle
@@ -370,7 +370,7 @@ def test_a_junction_with_four_square_arms_is_that_of_highway_env() -> None:
         assert other.priority == (3 if index[0].startswith("il") else lane.priority)
 
 
-@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("name", slow_but(PLACES, "learn_highway_roundabout3"))
 def test_traffic_of_our_places_flows(name: str) -> None:
     """Most of those who came in are through, from every arm, and hardly anybody is taken off."""
     with HighwaySimulator(load_scenario(name, density="dense")) as simulator:
@@ -388,7 +388,9 @@ def test_traffic_of_our_places_flows(name: str) -> None:
     assert len(removed) <= 2
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", slow_but(SCENES, "highway_intersection", "highway_merge", "learn_highway_tee")
+)
 def test_vehicles_are_within_a_metre_of_their_lines(name: str) -> None:
     # Our places begin with one vehicle.
     density, seconds = ("dense", 60) if name in PLACES else ("normal", 30)

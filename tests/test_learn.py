@@ -21,6 +21,7 @@ from hatn_sim.hatn.sgn_settings import SgnSettings
 from hatn_sim.hatn.weights_io import load_weights
 from hatn_sim.learn.augment import free_travel_m, scale_graphs
 from hatn_sim.learn.batches import graph_batch
+from hatn_sim.learn.cache import SampleCache
 from hatn_sim.learn.dataset import Samples, concatenate, samples_of_run
 from hatn_sim.learn.fit import FitSettings
 from hatn_sim.learn.settings import FORMS, TrainingSettings
@@ -167,7 +168,15 @@ def test_a_training_begins_with_the_weights_it_is_given(
 
 
 @pytest.mark.usefixtures("few_samples")
-@pytest.mark.parametrize("stopped", [("SGN", 3), ("SGN", 15), ("EDN", 1), ("EDN", 15)])
+@pytest.mark.parametrize(
+    "stopped",
+    [
+        ("SGN", 3),
+        pytest.param(("SGN", 15), marks=pytest.mark.slow),
+        pytest.param(("EDN", 1), marks=pytest.mark.slow),
+        ("EDN", 15),
+    ],
+)
 def test_a_training_that_was_stopped_goes_on_to_the_same_weights(
     tmp_path: Path, split: Split, cut: Samples, trained: Path, stopped: tuple[str, int]
 ) -> None:
@@ -200,10 +209,12 @@ def test_both_forms_and_the_one_that_is_there_already_is_kept(tmp_path: Path, sp
 @pytest.mark.usefixtures("few_samples")
 def test_a_form_is_trained_alike_alone_and_beside_another(tmp_path: Path, split: Split) -> None:
     forms = {"hatn": SMALL, "paper": SMALL}
-    train(TrainingPlan(split, forms, seed=3), tmp_path / "both.safetensors")
+    cache = SampleCache(tmp_path / "kept")
+    train(TrainingPlan(split, forms, seed=3, cache=cache), tmp_path / "both.safetensors")
     for form, ending in (("hatn", ""), ("paper", "-paper")):
         name = f"alone{ending}.safetensors"
-        train(TrainingPlan(split, {form: SMALL}, seed=3), tmp_path / "alone.safetensors")
+        plan = TrainingPlan(split, {form: SMALL}, seed=3, cache=cache)
+        train(plan, tmp_path / "alone.safetensors")
         together = tmp_path / f"both{ending}.safetensors"
         assert (tmp_path / name).read_bytes() == together.read_bytes()
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import crossing_lanes, lane, scene_of
+from conftest import crossing_lanes, lane, scene_of, slow_but
 
 from hatn_sim.candidates import REST_FRAMES
 from hatn_sim.config import load_scenario
@@ -367,7 +367,7 @@ def test_nobody_in_view() -> None:
     assert len(lines.line) == 0
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", slow_but(SCENES, "intersection5", "roundabout4_two_lane"))
 def test_inferred_lines_are_the_routes(scene: str) -> None:
     """Against the simulator's routes, from the first metre of the junction on."""
     with SumoSimulator(load_scenario(scene)) as simulator:

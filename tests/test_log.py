@@ -318,7 +318,7 @@ def interrupting(at: int) -> tuple[Callable[..., Any], list[int]]:
     return trace, seen
 
 
-@pytest.mark.parametrize("every", [17, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [29, pytest.param(1, marks=pytest.mark.slow)])
 def test_wherever_a_run_is_interrupted_what_counts_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: int
 ) -> None:

@@ -362,8 +362,15 @@ def is_clear(place: list[float], size: list[float], boxes: list[list[float]]) ->
     return inside and outside_of_all((place[0], place[1]), boxes)
 
 
-@pytest.mark.parametrize("is_followed", [False, True])
-@pytest.mark.parametrize("size", [(1200, 1000), (390, 844)])
+@pytest.mark.parametrize(
+    ("size", "is_followed"),
+    [
+        ((1200, 1000), True),
+        ((390, 844), False),
+        pytest.param((1200, 1000), False, marks=pytest.mark.slow),
+        pytest.param((390, 844), True, marks=pytest.mark.slow),
+    ],
+)
 def test_while_it_plays_those_told_of_stay_clear(
     browser: Any, run_folder: Path, size: tuple[int, int], is_followed: bool
 ) -> None:
@@ -438,7 +445,7 @@ FIRST_PICTURES = """
 """
 
 
-@pytest.mark.parametrize("seconds", [0.5, 2.0, 3.5])
+@pytest.mark.parametrize("seconds", [0.5, pytest.param(2.0, marks=pytest.mark.slow), 3.5])
 def test_the_camera_sets_off_without_a_jerk(browser: Any, run_folder: Path, seconds: float) -> None:
     phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)

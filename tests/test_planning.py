@@ -280,8 +280,17 @@ def test_an_agent_stops_at_the_stop_line(crossing: Road) -> None:
     assert slowest < 0.3 and x > 12.0
 
 
-@pytest.mark.parametrize("scene", ["highway_intersection", "highway_roundabout"])
-@pytest.mark.parametrize("name", ["idm", "heed", "hatn_planner", "mpc"])
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [
+        *((name, "highway_intersection") for name in ("idm", "heed", "hatn_planner", "mpc")),
+        ("idm", "highway_roundabout"),
+        *(
+            pytest.param(name, "highway_roundabout", marks=pytest.mark.slow)
+            for name in ("heed", "hatn_planner", "mpc")
+        ),
+    ],
+)
 def test_agents_drive_in_highway_env(scene: str, name: str) -> None:
     simulator = open_traffic(load_scenario(scene))
     places: list[np.ndarray] = []

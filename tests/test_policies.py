@@ -251,7 +251,7 @@ class OneIsRight(gymnasium.Env[np.ndarray, int]):
 
 @pytest.mark.parametrize(
     ("algorithm", "steps"),
-    [("ppo", 4096), pytest.param("dqn", 4000, marks=pytest.mark.slow)],
+    [("ppo", 3072), pytest.param("dqn", 4000, marks=pytest.mark.slow)],
 )
 def test_what_is_learnt_drives_the_same_without_torch(algorithm: Any, steps: int) -> None:
     pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")

@@ -53,7 +53,7 @@ def steps_of(env: gymnasium.Env[Any, Any], seed: int, count: int) -> list[Any]:
         ("roundabout-v1", {"observation": {"type": "OccupancyGrid"}}),
         ("merge-v1", {"duration": 20}),
         ("racetrack-v1", {}),
-        ("highway-fast-v0", {}),
+        ("highway-fast-v0", {"vehicles_count": 8}),
         ("intersection-multi-agent-v2", {}),
     ],
 )

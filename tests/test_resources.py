@@ -26,7 +26,7 @@ from hatn_sim import resources
 from hatn_sim.config import load_scenario
 from hatn_sim.traffic import open_traffic
 
-scenes = {}
+scenes, opened = {}, []
 for name in resources.find_scenarios():
     scenario = load_scenario(name)
     for density in scenario.densities:
@@ -35,6 +35,8 @@ for name in resources.find_scenarios():
     simulator = open_traffic(scenario)
     begin_s = simulator.reset(1).scene.time_s
     scenes[name] = round(simulator.step().scene.time_s - begin_s, 6)
+    opened.append(simulator)  # one that is open spares the next its beginning
+for simulator in opened:
     simulator.close()
 weights = resources.weights_dir()
 print(json.dumps({

@@ -495,9 +495,9 @@ def test_sumo_giving_up_in_the_middle(tmp_path: Path) -> None:
     # SUMO reads routes as time goes by, and meets the bad one only then.
     content = CAR + "".join(
         vehicle(f"v{depart}", "stop_to_east", departLane=1, depart=depart)
-        for depart in range(0, 2000, 5)
+        for depart in range(0, 500, 5)
     )
-    bad = scene(tmp_path, content + vehicle("late", "nowhere", depart=2000))
+    bad = scene(tmp_path, content + vehicle("late", "nowhere", depart=500))
     with SumoSimulator(bad) as simulator:
         simulator.reset(SEED)
         with pytest.raises(SimulatorError) as caught:

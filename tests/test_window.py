@@ -353,11 +353,11 @@ def test_a_run_in_the_window_is_to_the_byte_the_run_without(
         return draw(simulator, picture)
 
     monkeypatch.setattr(SumoSimulator, "draw", watched)
-    words = ["run", "intersection5", "--duration", "3", "--warm-up", "20", "--no-picture"]
+    words = ["run", "intersection5", "--duration", "1.5", "--warm-up", "20", "--no-picture"]
     assert main([*words, "--quiet", "--out", str(tmp_path / "without")]) == 0
     window = ["--gui", "--delay", "0"]
     assert main([*words, *window, "--quiet", "--out", str(tmp_path / "with")]) == 0
-    assert len(shown) == 30 and all(picture.ribbons for picture in shown)
+    assert len(shown) == 15 and all(picture.ribbons for picture in shown)
     parts = sorted((tmp_path / "without").rglob("*.parquet"))
     assert parts
     for part in parts:
