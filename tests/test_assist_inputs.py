@@ -149,7 +149,7 @@ def test_a_suite_without_events_has_no_recall(
     told = capsys.readouterr()
     said = "hatn-sim: no collision and no evasive braking in these runs: there is nothing to"
     assert told.err.startswith(said) and told.err.count("\n") == 1
-    assert not (out / "assist.toml").exists()
+    assert not (tmp_path / "calibrated" / "assist.toml").exists()
 
 
 # ---------------------------------------------------------------------------------------------
