@@ -57,7 +57,8 @@ class Agent:
     def step(
         self, state: Memory, ego_id: str, scene: Scene, advice: Advice
     ) -> tuple[Memory, Command | None]:
-        driver, now = look(state.driver, ego_id, scene)
+        # Whether its nose is in the way where lines bend, it sees by outlines.
+        driver, now = look(state.driver, ego_id, scene, as_swept=False)
         doubt = learn(state.doubt, scene, advice.prediction, ego_id)
         if now is None:
             return Memory(driver, doubt), None

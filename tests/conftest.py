@@ -71,6 +71,12 @@ def crossing_lanes(angle_rad: float = 0.0, shift_m: tuple[float, float] = (0.0, 
     return [Lane(**{**one.__dict__, "xy_m": one.xy_m @ turn + np.array(shift_m)}) for one in lanes]
 
 
+def with_signal_at_south(lanes: list[Lane]) -> list[Lane]:
+    """The same, but who comes from the south has a signal, 8 m before the middle."""
+    signal = lane("s", [(0, -108), (0, -8)], "sn", gate=Gate.SIGNAL, signals={"sn": 0})
+    return [*(one for one in lanes if one.id != "s"), signal]
+
+
 @pytest.fixture
 def crossing() -> Road:
     """The hand-drawn crossing."""

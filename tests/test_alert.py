@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hatn_sim.assist.baselines import RULES
 from hatn_sim.assist.danger import hatn_rule
 from hatn_sim.assist.moment import DEVIATION, TYPES, Moment, PairDangers, Recent
 from hatn_sim.assist.settings import AssistSettings, read_assist_settings
-from hatn_sim.datatypes import Alert, Prediction
+from hatn_sim.datatypes import Alert, Lane, Prediction
 from hatn_sim.errors import InputError
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import begin, perceive
@@ -28,13 +29,19 @@ WHY = "danger 0.90 (of 1) to collide or to brake hard within 5 s"
 
 
 def moment(
-    east: tuple[float, float, float], north: tuple[float, float, float], north_yields: float = 0.0
+    east: tuple[float, float, float],
+    north: tuple[float, float, float],
+    north_yields: float = 0.0,
+    *,
+    lanes: list[Lane] | None = None,
+    closed: tuple[bool, ...] = (),
 ) -> Moment:
     """Two cars before the crossing: way to its middle, speed, acceleration; predicted to go on.
 
-    A second ago, the car from the south was to yield with a probability.
+    A second ago, the car from the south was to yield with a probability. `closed` are the signals
+    of `lanes`.
     """
-    state = begin(Road(crossing_lanes()))
+    state = begin(Road(lanes or crossing_lanes()))
     for frame in range(11):
         ago_s = 0.1 * (10 - frame)
         rows = []
@@ -45,7 +52,8 @@ def moment(
             "a": (rows[0][0], 0.0, 0.0, rows[0][1]),
             "b": (0.0, rows[1][0], NORTH, rows[1][1]),
         }
-        state = perceive(state, scene_of(0.1 * frame, vehicles), None)
+        scene = replace(scene_of(0.1 * frame, vehicles), signal_closed=np.array(closed, np.bool_))
+        state = perceive(state, scene, None)
     seen, graphs = state.seen, build_graphs(state.road, state.seen)
     chances = np.zeros(graphs.node_mask.shape)
     chances[:, :2] = [[0.5, 0.5], [north_yields, 1.0 - north_yields]]

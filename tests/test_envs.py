@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from conftest import crossing_lanes, lane, scene_of
+from conftest import crossing_lanes, lane, scene_of, with_signal_at_south
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.kinematics import Vehicle
@@ -80,9 +80,17 @@ def name_of(features: tuple[Any, ...], begins: str) -> int:
 # -- observation ----------------------------------------------------------------------------------
 
 
-def met(angle_rad: float = 0.0, shift_m: tuple[float, float] = (0.0, 0.0)) -> tuple[Mind, Thought]:
-    """An ego 30 m before the crossing at 10 m/s, another 20 m before it from the right at 8 m/s."""
-    road = Road(crossing_lanes(angle_rad, shift_m))
+def met(
+    angle_rad: float = 0.0,
+    shift_m: tuple[float, float] = (0.0, 0.0),
+    closed: tuple[bool, ...] = (),
+) -> tuple[Mind, Thought]:
+    """An ego 30 m before the crossing at 10 m/s, another 20 m before it from the right at 8 m/s.
+
+    `closed`: whether the signal is that the other has then, 9.5 m before it.
+    """
+    lanes = crossing_lanes(angle_rad, shift_m)
+    road = Road(with_signal_at_south(lanes) if closed else lanes)
     mind = open_mind(ConstantVelocity(), "route", "ego", road)
     turn = np.array(
         [[np.cos(angle_rad), np.sin(angle_rad)], [-np.sin(angle_rad), np.cos(angle_rad)]]
@@ -100,6 +108,7 @@ def met(angle_rad: float = 0.0, shift_m: tuple[float, float] = (0.0, 0.0)) -> tu
             scene,
             xy_m=scene.xy_m @ turn + np.array(shift_m),
             yaw_rad=(scene.yaw_rad + angle_rad + np.pi) % (2 * np.pi) - np.pi,
+            signal_closed=np.array(closed, np.bool_),
         )
         return Frame(moved, Truth((CORRIDOR, ACROSS)), done=False)
 
@@ -256,6 +265,17 @@ def test_a_yield_lets_the_other_go_within_comfort_and_a_pass_does_not_wait() -> 
     assert travelled[0][29] < 30.0 - 2.5 < travelled[1][29] + 2.0
     faster = np.diff([10.0, *waits]) / DT_S
     assert faster.min() > -3.5 and faster.max() < COMFORT_MPS2 + 0.1
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_yield_waits_for_nobody_whom_a_signal_holds(closed: bool) -> None:
+    mind, thought = met(closed=(closed,))
+    scene = mind.state.perception.seen.scene
+    mind = replace(mind, stopped=frozenset({"ego"}))
+    yields, passes = (slot_profile(mind, thought.sight, scene, 0, slot) for slot in (0, 1))
+    assert (yields == passes) == closed
+    # It is a slot all the same, as it is in the observation.
+    assert thought.sight.graphs.focus_mask[0, :2].all()
 
 
 # -- reward ---------------------------------------------------------------------------------------

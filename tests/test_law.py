@@ -278,7 +278,7 @@ def fastest(
             lines = Lines(np.full(len(line), -1), *np.zeros((4, len(line))))
             for row, route in enumerate(routes):
                 lines = on_route(road, scene, lines, row, route)
-            now = situation_of(road, scene, lines, 0, has_stood, as_swept=True)
+            now = situation_of(road, scene, lines, 0, has_stood)
             assert now is not None
             has_stood = now.has_stopped
             gains = (speed_mps - before_mps) / REACTION_S

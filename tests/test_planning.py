@@ -9,8 +9,9 @@ import pytest
 from conftest import crossing_lanes, lane, scene_of
 
 from hatn_sim.assist.outlines import Boxes, overlap
+from hatn_sim.assist.outlines import gap_m as outlines_gap_m
 from hatn_sim.config import load_scenario
-from hatn_sim.datatypes import DT_S, Advice, Agent, Gate, Scene
+from hatn_sim.datatypes import DT_S, Advice, Agent, Gate, Lane, Scene
 from hatn_sim.loop import Adviser, Driver, run, warm_up
 from hatn_sim.planning.courtesy import LAWLESS, RUDE, heedless
 from hatn_sim.planning.doubt import AFTER_S, Doubt, doubts_m, learn
@@ -249,10 +250,8 @@ def crossed(agent: Agent, road: Road, foe_mps: float, foe_from_m: float) -> tupl
 
 
 def gap_m(scene: Scene) -> float:
-    from hatn_sim.assist.outlines import gap_m as gap
-
     boxes = Boxes(scene.xy_m, scene.yaw_rad, scene.size_m)
-    return float(gap(boxes[0], boxes[1]))
+    return float(outlines_gap_m(boxes[0], boxes[1]))
 
 
 @pytest.mark.parametrize("name", ["idm", "mpc", "heed"])
@@ -263,6 +262,60 @@ def test_an_agent_lets_go_whoever_does_not_brake_and_then_crosses(
     time_s, nearest_m = crossed(load_agent(name), crossing, 9.0, foe_from_m)
     assert nearest_m > 0.5
     assert time_s < 30.0
+
+
+ONCOMING_M = 1.75
+"""From the middle of the road to that of either lane."""
+
+
+def left_turn_lanes(radius_m: float) -> list[Lane]:
+    """From the west, left round to the north, across a lane from the east; gives way at x = -8."""
+    angle = np.linspace(0.0, np.pi / 2, 61)
+    x, y = -8.0 + radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle)) - ONCOMING_M
+    arc = list(zip(x.tolist(), y.tolist(), strict=True))
+    start = [(-108.0, -ONCOMING_M), (-8.0, -ONCOMING_M)]
+    return [
+        lane("w", start, "wn", gate=Gate.GIVE_WAY_LINE),
+        lane("wn", arc, "n", is_connection=True, turn=1),
+        lane("n", [arc[-1], (arc[-1][0], arc[-1][1] + 150.0)]),
+        lane("e", [(150.0, ONCOMING_M), (40.0, ONCOMING_M)], "ew"),
+        lane("ew", [(40.0, ONCOMING_M), (-20.0, ONCOMING_M)], "o", is_connection=True),
+        lane("o", [(-20.0, ONCOMING_M), (-150.0, ONCOMING_M)]),
+    ]
+
+
+@pytest.mark.parametrize("name", ["idm", "mpc"])
+@pytest.mark.parametrize("radius_m", [12.0, 30.0])
+def test_who_waits_to_turn_left_keeps_its_nose_out_of_oncoming_traffic(
+    name: str, radius_m: float
+) -> None:
+    road, agent = Road(left_turn_lanes(radius_m)), load_agent(name)
+    route = ("w", "wn", "n")
+    line, state = np.array([road.line(route)]), agent.init(road)
+    s_m, speed, nearest_m, slowest_mps = 60.0, 8.0, np.inf, np.inf
+    for frame in range(700):
+        at_s_m = np.array([s_m])
+        (at_m,), yaw = road.locate(line, at_s_m, np.zeros(1)), road.line_yaw_rad(line, at_s_m)
+        cars = {"ego": (at_m[0], at_m[1], float(yaw[0]), speed)}
+        # Eight who never brake, at 10 m/s and 4.5 s apart: less than a left turn takes.
+        places = {f"{k}": 60.0 + 45.0 * k - 10.0 * DT_S * frame for k in range(8)}
+        cars |= {k: (x, ONCOMING_M, np.pi, 10.0) for k, x in places.items() if abs(x) < 140.0}
+        scene = scene_of(DT_S * frame, cars)
+        boxes = Boxes(scene.xy_m, scene.yaw_rad, scene.size_m)
+        for k in range(1, len(cars)):
+            nearest_m = min(nearest_m, float(outlines_gap_m(boxes[0], boxes[k])))
+        slowest_mps = min(slowest_mps, speed)
+        if s_m > 150.0:
+            break
+        state = agent.guide(state, route)
+        advice = Advice(ConstantVelocity().predict(scene), (), ())
+        state, command = agent.step(state, "ego", scene, advice)
+        assert command is not None
+        speed = max(speed + DT_S * command.acceleration_mps2, 0.0)
+        s_m += DT_S * speed
+    assert slowest_mps < 4.0  # it had to let somebody go
+    assert nearest_m > 0.25
+    assert s_m > 150.0  # and did cross
 
 
 def test_an_agent_stops_at_the_stop_line(crossing: Road) -> None:

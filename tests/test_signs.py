@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import crossing_lanes, scene_of
+from conftest import crossing_lanes, scene_of, with_signal_at_south
 from test_alert import moment
 
 from hatn_sim.assist.moment import Moment
@@ -70,6 +70,20 @@ def test_two_who_set_off_meet_if_both_go_on() -> None:
 
 def test_pairs_far_off_are_not_looked_at() -> None:
     assert not len(signs_of(moment((60.0, 5.0, 0.0), (60.0, 5.0, 0.0))).of)
+
+
+@pytest.mark.parametrize(
+    ("closed", "speed_mps", "looked_at"),
+    [(False, 0.0, True), (True, 0.0, False), (True, 0.2, False), (True, 0.4, True)],
+)
+def test_who_stands_at_a_closed_signal_is_in_no_danger(
+    closed: bool, speed_mps: float, looked_at: bool
+) -> None:
+    lanes = with_signal_at_south(crossing_lanes())
+    # Its front bumper is half a metre before the signal.
+    of = moment((25.0, 9.0, 0.0), (11.0, speed_mps, 0.0), lanes=lanes, closed=(closed,))
+    for found in (signs_of(of), signs_at_constant_velocity(of)):
+        assert (len(found.of) > 0) == looked_at
 
 
 def test_nobody_has_no_signs() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import crossing_lanes, lane, scene_of
+from conftest import crossing_lanes, lane, scene_of, with_signal_at_south
 
 from hatn_sim.assist.at_signals import without
 from hatn_sim.assist.outlines import Boxes, overlap
@@ -16,7 +16,7 @@ from hatn_sim.assist.outlook import in_the_way, look_ahead, plausible_travel_m
 from hatn_sim.assist.suggest import SuggestionState, _gap_is_there, slot_profiles, suggest
 from hatn_sim.assist.told import Told
 from hatn_sim.assist.words import names
-from hatn_sim.datatypes import Gate, Kind, Lane, Prediction, Scene, Suggestion
+from hatn_sim.datatypes import Kind, Prediction, Scene, Suggestion
 from hatn_sim.graph import build_graphs
 from hatn_sim.perception import begin, perceive
 from hatn_sim.predictors.constant_velocity import extrapolate
@@ -123,13 +123,6 @@ THREE = TWO | {"third": (0.0, 34.0, -NORTH, 8.0)}
 SOUTH = Road([*crossing_lanes(), lane("north_south", [(0, 60), (0, -60)], is_connection=True)])
 
 
-def signals_at_south(others: list[Lane]) -> Road:
-    """Whoever comes from the south has a signal, 8 m before the middle."""
-    lanes = [one for one in others if one.id != "s"]
-    signal = {"sn": 0}
-    return Road([*lanes, lane("s", [(0, -108), (0, -8)], "sn", gate=Gate.SIGNAL, signals=signal)])
-
-
 @pytest.mark.parametrize(
     ("closed", "speed_mps", "expected"),
     [
@@ -142,7 +135,7 @@ def signals_at_south(others: list[Lane]) -> Road:
 def test_nothing_is_said_of_one_whom_a_closed_signal_holds(
     closed: bool, speed_mps: float, expected: list[str]
 ) -> None:
-    road = signals_at_south(crossing_lanes())
+    road = Road(with_signal_at_south(crossing_lanes()))
     scene = scene_of(0.0, TWO | {"other": (0.0, -20.0, NORTH, speed_mps)})
     scene = replace(scene, signal_closed=np.array([closed]))
     scene, prediction = moment_of(road, scene, {"ego": [0.9, 0.1]})
@@ -155,7 +148,7 @@ def test_nothing_is_said_of_one_whom_a_closed_signal_holds(
 
 def test_whom_a_signal_holds_leaves_his_chance_to_the_others() -> None:
     lanes = [*crossing_lanes(), lane("north_south", [(0, 60), (0, -60)], is_connection=True)]
-    road = signals_at_south(lanes)
+    road = Road(with_signal_at_south(lanes))
     scene = replace(scene_of(0.0, THREE), signal_closed=np.array([True]))
     scene, prediction = moment_of(road, scene, {"ego": [0.1, 0.6, 0.3]})
     graphs = prediction.graphs
@@ -173,6 +166,21 @@ def test_whom_a_signal_holds_leaves_his_chance_to_the_others() -> None:
     scene, prediction = moment_of(road, alone, {"ego": [0.1, 0.9]})
     _, (without,) = suggest(SuggestionState(), road, scene, prediction, frozenset({"ego"}))
     assert (told.action, told.reason, told.text) == (without.action, without.reason, without.text)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_who_has_stopped_at_a_signal_stays_there_while_it_is_closed(closed: bool) -> None:
+    road = Road(with_signal_at_south(crossing_lanes()))
+    # Its front bumper is half a metre before the line; the other is far away.
+    vehicles = {"ego": (0.0, -11.0, NORTH, 0.0), "other": (-55.0, 0.0, 0.0, 5.0)}
+    scene = replace(scene_of(0.0, vehicles), signal_closed=np.array([closed]))
+    scene, prediction = moment_of(road, scene)
+    outlook = look_ahead(road, scene, prediction)
+    row = np.flatnonzero(outlook.graphs.ego == scene.ids.index("ego")).repeat(2)
+    stopped = SuggestionState(stopped=frozenset({"ego"}))
+    ways = slot_profiles(stopped, outlook, row, np.array([0, 1]), np.array([1, 1]))
+    went_m = 0.1 * ways.tick_speed_mps().sum(axis=1)
+    assert (went_m < 0.5).all() if closed else went_m[1] > 5.0
 
 
 def test_a_pass_before_one_who_is_held_is_a_pass_before_the_rest_evenly() -> None:

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from hatn_sim.assist.risk import STANDING_MPS
 from hatn_sim.datatypes import BoolArray, FloatArray, Lines, Prediction, Scene, SemanticGraphs
 from hatn_sim.graph import gates_ahead
 from hatn_sim.road import Road
@@ -23,17 +24,34 @@ LEAST_M: Final = 0.5
 """Who stands a little over the line waits nevertheless."""
 
 
+def choice_of(road: Road, scene: Scene, prediction: Prediction) -> Prediction:
+    """The prediction as far as there is something to choose: `without` those held by signals."""
+    graphs, lines = prediction.graphs, prediction.lines
+    assert graphs is not None and lines is not None
+    return without(prediction, held_at_signals(road, scene, lines, graphs))
+
+
 def held_at_signals(road: Road, scene: Scene, lines: Lines, graphs: SemanticGraphs) -> BoolArray:
     """The nodes [E, M] of others who can stop at a closed signal that is before the conflict."""
-    if not scene.signal_closed.any():
-        return np.zeros(graphs.rear.shape, dtype=np.bool_)
-    closed_m = gates_ahead(road, scene, lines).closed_m
-    stops = scene.speed_mps**2 <= 2.0 * HARDEST_MPS2 * np.maximum(closed_m, LEAST_M)
-    other = np.maximum(graphs.rear, 0)
-    from_centre_m = np.where(stops, closed_m + 0.5 * scene.size_m[:, 0], np.inf)
-    held = graphs.node_mask & (from_centre_m[other] <= graphs.rear_to_conflict_m)
+    closed_m = _to_closed_m(road, scene, lines)
+    held = graphs.node_mask & (closed_m[np.maximum(graphs.rear, 0)] <= graphs.rear_to_conflict_m)
     held[:, 0] = False
     return held
+
+
+def standing_at_signals_m(road: Road, scene: Scene, lines: Lines) -> FloatArray:
+    """[N] from the centre of who stands to a closed signal; inf: there is none, or it moves."""
+    stands = scene.speed_mps < STANDING_MPS
+    return np.where(stands, _to_closed_m(road, scene, lines), np.inf)
+
+
+def _to_closed_m(road: Road, scene: Scene, lines: Lines) -> FloatArray:
+    """[N] from the centre to a closed signal; inf: there is none, or one cannot stop at it."""
+    if not scene.signal_closed.any():
+        return np.full(len(scene.ids), np.inf)
+    closed_m = gates_ahead(road, scene, lines).closed_m
+    stops = scene.speed_mps**2 <= 2.0 * HARDEST_MPS2 * np.maximum(closed_m, LEAST_M)
+    return np.where(stops, closed_m + 0.5 * scene.size_m[:, 0], np.inf)
 
 
 def without(prediction: Prediction, held: BoolArray) -> Prediction:
@@ -43,16 +61,18 @@ def without(prediction: Prediction, held: BoolArray) -> Prediction:
     others: what was given to those held goes to the others in equal shares of what they have.
     """
     graphs, of = prediction.graphs, prediction.slot_probability
-    assert graphs is not None and of is not None
+    assert graphs is not None
     if not held.any():
         return prediction
     stays = graphs.focus_mask & ~held
     passes = stays.copy()
     passes[:, 0] = False
+    if of is not None:
+        of = _given_to(passes, of, np.where(held, of, 0.0).sum(axis=1))
     return replace(
         prediction,
         graphs=replace(graphs, node_mask=graphs.node_mask & ~held, focus_mask=stays),
-        slot_probability=_given_to(passes, of, np.where(held, of, 0.0).sum(axis=1)),
+        slot_probability=of,
     )
 
 

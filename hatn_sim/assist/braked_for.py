@@ -9,10 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hatn_sim.assist.choice import STANDING_MPS, Chosen
+from hatn_sim.assist.choice import Chosen
 from hatn_sim.assist.options import Options
 from hatn_sim.assist.outlook import Outlook
 from hatn_sim.assist.profile import LEADER_ASKS, hardest_asked
+from hatn_sim.assist.risk import STANDING_MPS
 from hatn_sim.assist.words import AT_ONCE, LINE, SOON_FRAMES, another, because, names
 from hatn_sim.datatypes import DT_S, BoolArray, IntArray
 

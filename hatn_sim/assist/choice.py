@@ -19,6 +19,7 @@ from hatn_sim.assist.options import REACTION_S, Options
 from hatn_sim.assist.outlook import Outlook, in_the_way
 from hatn_sim.assist.profile import COMFORT_BRAKING_MPS2
 from hatn_sim.assist.rings import weakest_of_rings
+from hatn_sim.assist.risk import STANDING_MPS
 from hatn_sim.assist.told import ACTIONS, LEAST_S, ROUNDING_S, Before
 from hatn_sim.datatypes import BoolArray, FloatArray, IntArray
 
@@ -38,7 +39,6 @@ SURE_KEEP_S: Final = 0.3
 might plausibly come sooner. Where there is time for a pass, a yield begins only if as probable."""
 FEASIBLE_BAND: Final = 0.15
 """A suggestion stays feasible, or infeasible, within this share of the comfort limit."""
-STANDING_MPS: Final = 0.3
 GOES: Final = 0.9
 """Who is as likely as this to pass before somebody, whoever that is, is likely to go first."""
 

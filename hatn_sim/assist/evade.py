@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from hatn_sim.assist.alert import Warned
-from hatn_sim.assist.choice import STANDING_MPS
 from hatn_sim.assist.moment import Moment
 from hatn_sim.assist.outlook import LEAVE_MARGIN_S, NOSE_M, approaches, look_ahead, travel_at
 from hatn_sim.assist.pairs import FOLLOW, MERGE, Pairs
@@ -27,6 +26,7 @@ from hatn_sim.assist.profile import (
     SLOWING_MPS2,
 )
 from hatn_sim.assist.risk import (
+    STANDING_MPS,
     Times,
     required_deceleration_mps2,
     times_predicted,

@@ -60,7 +60,8 @@ class Outlook:
     graphs: SemanticGraphs
     travelled_m: FloatArray  # [N, F] on the most probable predicted path
     slowest_m: FloatArray  # [N, F] the least that they may plausibly travel
-    stop_m: FloatArray  # [N] to a stop line or a closed signal, whoever is before it; inf: none
+    stop_m: FloatArray  # [N] to a stop line, whoever is before it; inf: none
+    closed_m: FloatArray  # [N] to a closed signal, likewise
     room_m: FloatArray  # [E, M] from the ego's front bumper to the area
     clear_m: FloatArray  # [E, M] the ego's way until its rear bumper is out of the area
     other_room_m: FloatArray  # [E, M] from the other's front bumper to the area
@@ -112,7 +113,8 @@ def look_ahead(
         graphs=graphs,
         travelled_m=travelled,
         slowest_m=slowest,
-        stop_m=np.minimum(gates.stop_m, gates.closed_m),
+        stop_m=gates.stop_m,
+        closed_m=gates.closed_m,
         room_m=by_node(room[:, 0]),
         clear_m=by_node(clear[:, 0]),
         other_room_m=by_node(room[:, 1]),
@@ -211,7 +213,7 @@ def approaches(
     closed = first & ~(merging & (outlook.room_m[row] <= 0.0))
     opens = outlook.leave_s[row] + LEAVE_MARGIN_S
     leader_m, leader_mps, leader = _leaders(outlook, row, first, start_s + KNOT_AT_S)
-    to_line = np.where(has_stopped, np.inf, outlook.stop_m[ego])
+    to_line = np.minimum(np.where(has_stopped, np.inf, outlook.stop_m[ego]), outlook.closed_m[ego])
     speed, start_m = scene.speed_mps[ego], np.zeros(len(row))
     acceleration = graphs.context[row, 0, _ACCELERATION]
     if start_s > 0.0:

@@ -34,6 +34,8 @@ from hatn_sim.datatypes import (
 
 FAR_S: Final = 60.0
 """Predicted arrivals later than this count as this: the vehicle stands."""
+STANDING_MPS: Final = 0.3
+"""Who is slower stands."""
 LEAST_GAP_M: Final = 0.1
 """Gaps are taken to be at least this long where something is divided by them."""
 

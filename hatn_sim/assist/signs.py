@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.special import expit
 
+from hatn_sim.assist.at_signals import standing_at_signals_m
 from hatn_sim.assist.moment import Moment
 from hatn_sim.assist.pairs import CROSS, FOLLOW, MERGE, Pairs
 from hatn_sim.assist.risk import (
@@ -160,11 +161,13 @@ def signs_at_constant_velocity(moment: Moment) -> Signs:
 
 
 def _looked_at(moment: Moment) -> tuple[Pairs, FloatArray, Times]:
-    """Pairs [Q] but for those who follow far behind, how far [N, F] everybody comes keeping his
-    acceleration, and times [Q, 2] at constant speed."""
+    """Pairs [Q] but for those who follow far behind or stand at a closed signal, how far [N, F]
+    everybody comes keeping his acceleration, and times [Q, 2] at constant speed."""
     pairs, speed = moment.pairs, moment.scene.speed_mps
     behind = (pairs.room_m[:, 1] < LOOKED_AHEAD_M) & (speed[pairs.index[:, 1]] > 1)
-    pairs = pairs.of(np.flatnonzero((pairs.type != FOLLOW) | behind))
+    closed_m = standing_at_signals_m(moment.road, moment.scene, moment.seen.lines)
+    waits = (closed_m[pairs.index] <= pairs.to_point_m).any(axis=1)
+    pairs = pairs.of(np.flatnonzero(np.where(pairs.type == FOLLOW, behind, ~waits)))
     return pairs, kept_travel_m(speed, acceleration_mps2(moment)), times_at_speed(pairs, speed)
 
 

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from hatn_sim.assist.at_signals import held_at_signals, without
+from hatn_sim.assist.at_signals import choice_of
 from hatn_sim.assist.braked_for import braked_for_first
-from hatn_sim.assist.choice import PASS_MARGIN_S, STANDING_MPS, Chosen, Why, choose
+from hatn_sim.assist.choice import PASS_MARGIN_S, Chosen, Why, choose
 from hatn_sim.assist.likely import Likely, likely_slots
 from hatn_sim.assist.options import Options, weigh_options
 from hatn_sim.assist.outlook import Outlook, approaches, look_ahead
@@ -26,6 +26,7 @@ from hatn_sim.assist.profile import (
     Profiles,
     drive,
 )
+from hatn_sim.assist.risk import STANDING_MPS
 from hatn_sim.assist.told import LEAST_S, ROUNDING_S, Told, recall, remember
 from hatn_sim.assist.words import braking, names, told_apart, words
 from hatn_sim.datatypes import (
@@ -72,10 +73,9 @@ def suggest(
 
     `pairs` are those of the moment, if they are known already.
     """
-    assert prediction.graphs is not None and prediction.lines is not None
+    assert prediction.graphs is not None
     stopped = stopped_at_line(state.stopped, scene, prediction.graphs)
-    held = held_at_signals(road, scene, prediction.lines, prediction.graphs)
-    prediction = without(prediction, held)
+    prediction = choice_of(road, scene, prediction)
     graphs, chances = prediction.graphs, prediction.slot_probability
     assert graphs is not None and chances is not None
     # At a red light there is nothing to choose, for the ego as for those whom it might meet.

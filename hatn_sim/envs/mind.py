@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from hatn_sim.assist.at_signals import choice_of
 from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
 from hatn_sim.assist.suggest import SuggestionState, slot_profiles, stopped_at_line
@@ -183,12 +184,13 @@ def slot_profile(
     if row is None:
         return ()
     rows = np.array([row])
-    outlook = look_ahead(mind.road, scene, sight.prediction)
-    chances = sight.prediction.slot_probability
+    prediction = choice_of(mind.road, scene, sight.prediction)
+    outlook = look_ahead(mind.road, scene, prediction)
+    chances = prediction.slot_probability
     if chances is None:
         chances = _sooner_first(outlook.enter_s)
     told = SuggestionState(stopped=mind.stopped)
-    first = first_of_others(sight.graphs.focus_mask[rows], chances[rows])
+    first = first_of_others(outlook.graphs.focus_mask[rows], chances[rows])
     profiles = slot_profiles(told, outlook, rows, np.array([slot]), first)
     speeds: list[float] = profiles.tick_speed_mps()[0].tolist()
     return speeds

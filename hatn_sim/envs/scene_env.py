@@ -258,7 +258,7 @@ class SceneEnv(gymnasium.Env[Observation, Any]):
         road, row, scene = episode.road, episode.row, episode.frame.scene
         route = episode.frame.truth.routes[row]
         lines = on_route(road, scene, episode.thought.sight.lines, row, route)
-        return situation_of(road, scene, lines, row, has_stopped, as_swept=True)
+        return situation_of(road, scene, lines, row, has_stopped)
 
     def action_masks(self) -> BoolArray:
         """The slots [M] that may be chosen now, as sb3-contrib asks for them."""

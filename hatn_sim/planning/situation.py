@@ -103,15 +103,17 @@ def guide(state: DriverState, route: Route | None) -> DriverState:
     return replace(state, route=route)
 
 
-def look(state: DriverState, ego_id: str, scene: Scene) -> tuple[DriverState, Situation | None]:
-    """A frame on; None where the ego is not there, or on no line."""
+def look(
+    state: DriverState, ego_id: str, scene: Scene, *, as_swept: bool = True
+) -> tuple[DriverState, Situation | None]:
+    """A frame on; None where the ego is not there, or on no line. As `situation_of`."""
     perception = perceive(state.perception, scene, None)
     state = replace(state, perception=perception)
     if ego_id not in scene.ids:
         return state, None
     road, ego = perception.road, scene.ids.index(ego_id)
     lines = on_route(road, scene, perception.seen.lines, ego, state.route)
-    now = situation_of(road, scene, lines, ego, state.has_stopped)
+    now = situation_of(road, scene, lines, ego, state.has_stopped, as_swept=as_swept)
     return state if now is None else replace(state, has_stopped=now.has_stopped), now
 
 
@@ -122,7 +124,7 @@ def situation_of(
     ego: int,
     has_stopped: bool,
     *,
-    as_swept: bool = False,
+    as_swept: bool = True,
 ) -> Situation | None:
     """What the vehicle in this row sees where all are on these lines; None: it is on none.
 

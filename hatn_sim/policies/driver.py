@@ -76,7 +76,7 @@ class PolicyAgent:
         gains = gains_mps2(scene, state.before, HOLDS_FRAMES)
         road = state.perception.road
         lines = on_route(road, scene, sight.lines, row, state.route)
-        now = situation_of(road, scene, lines, row, state.stood, as_swept=True)
+        now = situation_of(road, scene, lines, row, state.stood)
         lawful, stood = lawful_mps2(now, gains), now is not None and now.has_stopped
         observation = observed(state, row, scene, sight)
         moment = Moment(observation, of_nearest(scene, row, gains), lawful, stood)

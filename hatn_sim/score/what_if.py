@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hatn_sim.assist.at_signals import choice_of
 from hatn_sim.assist.evade import CLEAR
 from hatn_sim.assist.likely import first_of_others
 from hatn_sim.assist.outlook import look_ahead
@@ -113,7 +114,8 @@ class WhatIf:
             )
             changed = self._changed(advice.suggestions)
             if asks:
-                self._ask(index, frame, advice, graphs, changed)
+                prediction = choice_of(self._simulator.road, frame.scene, advice.prediction)
+                self._ask(index, frame, replace(advice, prediction=prediction), changed)
         return self._lines(index - WAITED_FRAMES)
 
     def finish(self) -> list[Line]:
@@ -125,9 +127,10 @@ class WhatIf:
         index: int,
         frame: Frame,
         advice: Advice,
-        graphs: SemanticGraphs,
         changed: Sequence[Suggestion],
     ) -> None:
+        graphs = advice.prediction.graphs
+        assert graphs is not None
         row_of = {graphs.ids[v]: e for e, v in enumerate(graphs.ego.tolist())}
         alerts = [
             one
