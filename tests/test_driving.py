@@ -135,7 +135,7 @@ def test_a_fault_of_somebodys_agent_is_one_line(
 
 
 def test_a_run_replayed_inside_sumo(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("--duration", 30, "--predictor", "hatn", "--lines", "route")
+    words = ("--warm-up", 15, "--duration", 16, "--predictor", "hatn", "--lines", "route")
     assert cli.main(["run", "tjunction", *map(str, words), *QUICK[2:], "--out", "run"]) == 0
     replay = ["run", "run", "--net", str(NET), *QUICK[2:]]
     # Nobody is taken over: the same scenes and so the same advice.
