@@ -272,6 +272,7 @@ def test_a_damaged_file_is_as_if_it_were_not_there(study: Study) -> None:
     assert not is_trained(study, GOAL_FREE) and card_of(study, GOAL_FREE) == {}
 
 
+@pytest.mark.slow
 def test_a_table_from_end_to_end_is_not_trained_again(
     tmp_path: Path,
     cache: SampleCache,

@@ -57,6 +57,7 @@ def test_who_is_advised_is_predicted_as_without_adaptation(
     assert 1e-4 < moved_m.max() < 5.0
 
 
+@pytest.mark.slow
 def test_the_study_scores_what_the_predictor_says(
     traffic: tuple[Road, list[Frame]], hatn: Hatn, tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import slow_but
 
 from hatn_sim import cli
 from hatn_sim.conformance.agents import check_agent
@@ -230,7 +231,11 @@ def test_a_step_of_other_arguments_is_told_by_its_name(footage: Footage) -> None
 
 
 @pytest.mark.parametrize(
-    "name", ["sumo_driver", "constant_speed", "idm", "heed", "hatn_planner", "mpc", "ppo"]
+    "name",
+    slow_but(
+        ["sumo_driver", "constant_speed", "idm", "heed", "hatn_planner", "mpc", "ppo"],
+        *("idm", "heed", "mpc", "ppo"),
+    ),
 )
 def test_agents_that_ship_keep_every_point(footage: Footage, name: str) -> None:
     points = list(check_agent(lambda: load_agent(name), footage, (ConstantVelocity(),)))

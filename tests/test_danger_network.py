@@ -138,6 +138,7 @@ def test_examples_by_hand() -> None:
     assert weight.tolist() == [1.0, EARLY_WEIGHT, 1.0, 1.0, near, 1.0]
 
 
+@pytest.mark.slow
 def test_chances_that_are_learned_are_those_of_the_traffic() -> None:
     """Where the sign is 1, one in five moments goes before an event; elsewhere none does."""
     rng = np.random.default_rng(3)

@@ -306,6 +306,7 @@ def test_another_table_is_handed_what_was_asked_for(monkeypatch: pytest.MonkeyPa
     assert (second.scenes, second.seeds) == (("a", "b.sumocfg"), (2, 3))
 
 
+@pytest.mark.slow
 def test_a_shipped_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = ("--table", "density", "--scenes", "roundabout8", "--duration", 5, "--warm-up", 20)
     out = tmp_path / "new" / "out"

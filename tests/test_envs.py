@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from conftest import crossing_lanes, lane, scene_of, with_signal_at_south
+from conftest import crossing_lanes, lane, scene_of, slow_but, with_signal_at_south
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.kinematics import Vehicle
@@ -417,7 +417,7 @@ EVERYWHERE = {
 }
 
 
-@pytest.mark.parametrize("name", EVERYWHERE)
+@pytest.mark.parametrize("name", slow_but(EVERYWHERE, "intersection", "steered", "replay"))
 def test_gymnasium_has_nothing_to_say(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env_id, options = EVERYWHERE[name]

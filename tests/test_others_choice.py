@@ -173,6 +173,7 @@ def test_the_same_lines_drawn_by_others_are_no_reason_to_be_fitted_to(
     assert found["001"].recordings == ("000", "002", "003")
 
 
+@pytest.mark.slow
 def test_one_that_is_not_better_is_not_taken(
     site: Path, found: OthersChoice, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from conftest import crossing_lanes, scene_of
+from conftest import crossing_lanes, scene_of, slow_but
 
 from hatn_sim import cli
 from hatn_sim.datatypes import DT_S, MAX_NODES, Command, Frame, Scene, Truth
@@ -308,7 +308,7 @@ class Dies(gymnasium.Env[Any, Any]):
         return np.zeros(2, np.float32), 0.0, False, False, {"end": None, "driven_s": 0.5}
 
 
-@pytest.mark.parametrize("where", ["made", "reset", "step"])
+@pytest.mark.parametrize("where", slow_but(["made", "reset", "step"], "step"))
 def test_the_death_of_an_environments_process_is_one_error_and_the_end_of_all(where: str) -> None:
     pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
     from hatn_sim.policies.training import side_by_side
