@@ -734,3 +734,23 @@ def test_sides_are_told_by_the_bearing(at: tuple[float, float], side: str) -> No
     scene = scene_of(0.0, {"ego": (0.0, 0.0, 0.0, 5.0), "other": (*at, 0.0, 5.0)})
     ego, other = (np.array([scene.ids.index(name)]) for name in ("ego", "other"))
     assert names(scene, ego, other) == [f"the car {side}"]
+
+
+@pytest.mark.parametrize(
+    ("at", "yaw_deg", "name"),
+    [
+        ((20.0, 3.0), 180.0, "the oncoming car"),
+        ((20.0, 3.0), -140.0, "the oncoming car"),
+        ((20.0, 3.0), 130.0, "the car ahead"),  # it turns
+        ((20.0, 3.0), 0.0, "the car ahead"),
+        ((20.0, 12.0), 180.0, "the car from the left"),
+        ((-20.0, 3.0), 180.0, "the car behind"),  # it has gone by
+    ],
+)
+def test_who_is_ahead_and_comes_the_other_way_is_oncoming(
+    at: tuple[float, float], yaw_deg: float, name: str
+) -> None:
+    scene = scene_of(0.0, {"ego": (0.0, 0.0, 0.0, 5.0), "other": (*at, np.deg2rad(yaw_deg), 5.0)})
+    assert names(scene, np.array([0]), np.array([1])) == [name]
+    # In the ego's own lane it is a leader, whichever way it has been turned.
+    assert names(scene, np.array([0]), np.array([1]), np.array([True])) == ["the car ahead"]

@@ -22,6 +22,8 @@ HARD_MPS2: Final = 1.15 * COMFORT_BRAKING_MPS2
 (`choice.FEASIBLE_BAND`)."""
 SOON_FRAMES: Final = 15
 """Braking within 1.5 s is to be begun now: a driver takes a second to react."""
+AHEAD: Final = "ahead"
+ONCOMING_RAD: Final = np.deg2rad(135.0)
 LOW_MPS: Final = 2.0
 """Whoever is never faster than this stops; hard braking is over within half a second there."""
 
@@ -49,13 +51,15 @@ def names(
     """How drivers of vehicles `ego` [R] would name vehicles `other` [R].
 
     By its colour only where another of its kind in view has another one. Those in the ego's own
-    lane are `ahead` [R] of it, whatever way that bends.
+    lane are `ahead` [R] of it, whatever way that bends; whoever else is ahead and comes its way
+    is oncoming.
     """
     x, y = (scene.xy_m[other] - scene.xy_m[ego]).T
     bearing = wrap_angle(np.arctan2(y, x) - scene.yaw_rad[ego])
     eighth = np.floor(bearing / (np.pi / 8)).astype(np.int64)
+    against = np.abs(wrap_angle(scene.yaw_rad[other] - scene.yaw_rad[ego])) > ONCOMING_RAD
     if ahead is not None:
-        eighth[ahead] = 0
+        eighth[ahead], against[ahead] = 0, False
     colours = [colour_word(*colour) for colour in scene.colour.tolist()]
     of_kind: dict[int, set[str]] = {}
     for kind, colour in zip(scene.kind.tolist(), colours, strict=True):
@@ -65,8 +69,12 @@ def names(
         for kind, colour in zip(scene.kind.tolist(), colours, strict=True)
     ]
     return [
-        f"the {told[vehicle]} {_SIDES[of]}"
-        for vehicle, of in zip(other.tolist(), eighth.tolist(), strict=True)
+        f"the oncoming {told[vehicle]}"
+        if comes and _SIDES[of] == AHEAD
+        else f"the {told[vehicle]} {_SIDES[of]}"
+        for vehicle, of, comes in zip(
+            other.tolist(), eighth.tolist(), against.tolist(), strict=True
+        )
     ]
 
 
@@ -158,8 +166,8 @@ _SIDES: Final = dict(
     zip(
         range(-8, 9),
         (
-            *("behind", "from behind on the right", *["from the right"] * 5, "ahead"),
-            *("ahead", *["from the left"] * 5, "from behind on the left", "behind", "behind"),
+            *("behind", "from behind on the right", *["from the right"] * 5, AHEAD),
+            *(AHEAD, *["from the left"] * 5, "from behind on the left", "behind", "behind"),
         ),
         strict=True,
     )
