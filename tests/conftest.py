@@ -26,6 +26,8 @@ settings.load_profile("still")
 def slow_but(every: Iterable[str], *kept: str) -> list[Any]:
     """Parameters of a test: all of them, of which only those kept run by default."""
     marks = pytest.mark.slow
+    every = list(every)
+    assert set(kept) <= set(every), f"not among {every}: {set(kept) - set(every)}"
     return [one if one in kept else pytest.param(one, marks=marks) for one in every]
 
 

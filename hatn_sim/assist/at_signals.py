@@ -1,7 +1,8 @@
 """Whom a closed signal holds: about them there is nothing to choose.
 
 To yield to them would be wrong, and to pass before them needs no advice. Who runs the signal is
-for the alerts.
+for the alerts. Slots are still those of the nearest conflicts, theirs among them: where all of a
+focus group are held, whoever is met farther on has no slot until these are behind.
 
 Letters as in `datatypes`.
 """
@@ -20,8 +21,6 @@ from hatn_sim.road import Road
 
 HARDEST_MPS2: Final = 4.5
 """Who would have to brake harder than this to stop at a signal is not held by it."""
-LEAST_M: Final = 0.5
-"""Who stands a little over the line waits nevertheless."""
 
 
 def choice_of(road: Road, scene: Scene, prediction: Prediction) -> Prediction:
@@ -50,15 +49,16 @@ def _to_closed_m(road: Road, scene: Scene, lines: Lines) -> FloatArray:
     if not scene.signal_closed.any():
         return np.full(len(scene.ids), np.inf)
     closed_m = gates_ahead(road, scene, lines).closed_m
-    stops = scene.speed_mps**2 <= 2.0 * HARDEST_MPS2 * np.maximum(closed_m, LEAST_M)
+    # Who stands a little over the line waits nevertheless.
+    stops = scene.speed_mps**2 <= 2.0 * HARDEST_MPS2 * np.maximum(closed_m, 0.0) + STANDING_MPS**2
     return np.where(stops, closed_m + 0.5 * scene.size_m[:, 0], np.inf)
 
 
 def without(prediction: Prediction, held: BoolArray) -> Prediction:
-    """The prediction as if those of nodes `held` [E, M] were not there.
+    """The prediction without the nodes `held` [E, M].
 
     A slot's probability is that of the ego going first and its vehicle being the first of the
-    others: what was given to those held goes to the others in equal shares of what they have.
+    others: what was given to those held goes to the others in proportion to what they have.
     """
     graphs, of = prediction.graphs, prediction.slot_probability
     assert graphs is not None
@@ -68,7 +68,8 @@ def without(prediction: Prediction, held: BoolArray) -> Prediction:
     passes = stays.copy()
     passes[:, 0] = False
     if of is not None:
-        of = _given_to(passes, of, np.where(held, of, 0.0).sum(axis=1))
+        more = np.where(held, of, 0.0).sum(axis=1)
+        of = _given_to(passes, np.where(held, 0.0, of), more)
     return replace(
         prediction,
         graphs=replace(graphs, node_mask=graphs.node_mask & ~held, focus_mask=stays),

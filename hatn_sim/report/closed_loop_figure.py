@@ -65,10 +65,19 @@ def draw_closed_loop(scores: Sequence[Score], agent: str, paths: Sequence[Path])
         row[0].set_title(scene, loc="left", fontsize=10.5, color=INK)
     for axes in grid[-1]:
         axes.set_xlabel("open loop: mean error over 3 s, m", color=INK, fontsize=9)
-    handles, labels = grid[-1, 0].get_legend_handles_labels()
-    if handles:
+    named = {
+        label: handle
+        for axes in grid.flat
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    if named:
         figure.legend(
-            handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=9
+            list(named.values()),
+            list(named),
+            loc="outside lower center",
+            ncols=6,
+            frameon=False,
+            fontsize=9,
         )
     title = f"Driven by {agent}: error of the prediction against the drive (dashed: {REFERENCE})"
     head_chart(figure, title, 12)

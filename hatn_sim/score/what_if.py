@@ -32,6 +32,7 @@ from hatn_sim.datatypes import (
     Frame,
     GiveWay,
     Plan,
+    Prediction,
     SemanticGraphs,
     Simulator,
     Suggestion,
@@ -114,8 +115,7 @@ class WhatIf:
             )
             changed = self._changed(advice.suggestions)
             if asks:
-                prediction = choice_of(self._simulator.road, frame.scene, advice.prediction)
-                self._ask(index, frame, replace(advice, prediction=prediction), changed)
+                self._ask(index, frame, advice, graphs, changed)
         return self._lines(index - WAITED_FRAMES)
 
     def finish(self) -> list[Line]:
@@ -127,10 +127,9 @@ class WhatIf:
         index: int,
         frame: Frame,
         advice: Advice,
+        graphs: SemanticGraphs,
         changed: Sequence[Suggestion],
     ) -> None:
-        graphs = advice.prediction.graphs
-        assert graphs is not None
         row_of = {graphs.ids[v]: e for e, v in enumerate(graphs.ego.tolist())}
         alerts = [
             one
@@ -140,12 +139,13 @@ class WhatIf:
         suggestions = [one for one in changed if self._samples(index, one)]
         if not alerts and not suggestions:
             return
-        chances = advice.prediction.slot_probability
-        assert chances is not None
-        ways = {one: _ways(one, row_of[one.ego_id], graphs, chances) for one in suggestions}
+        prediction = choice_of(self._simulator.road, frame.scene, advice.prediction)
+        choice, chances = prediction.graphs, prediction.slot_probability
+        assert choice is not None and chances is not None
+        ways = {one: _ways(one, row_of[one.ego_id], choice, chances) for one in suggestions}
         of_slots = [way for many in ways.values() for way in many]
         clears = [_Way(row_of[one.ego_id], FIRST, FIRST) for one in alerts if one.action == CLEAR]
-        plans = iter(self._plans(frame, advice, of_slots + clears))
+        plans = iter(self._plans(frame, prediction, of_slots + clears))
         changes: list[Change] = [next(plans) for _ in of_slots]
         changes += [
             replace(next(plans), at_least=True) if one.action == CLEAR else self._brake(one)
@@ -205,13 +205,13 @@ class WhatIf:
         self._told = now
         return changed
 
-    def _plans(self, frame: Frame, advice: Advice, ways: Sequence[_Way]) -> list[Plan]:
+    def _plans(self, frame: Frame, prediction: Prediction, ways: Sequence[_Way]) -> list[Plan]:
         if not ways:
             return []
-        graphs, settings = advice.prediction.graphs, self._settings
+        graphs, settings = prediction.graphs, self._settings
         assert graphs is not None
         row, slot, first = np.array([(way.row, way.slot, way.first) for way in ways], np.int64).T
-        outlook = look_ahead(self._simulator.road, frame.scene, advice.prediction)
+        outlook = look_ahead(self._simulator.road, frame.scene, prediction)
         start_s = settings.reaction_s
         profiles = slot_profiles(self._advised, outlook, row, slot, first, start_s)
         return [
